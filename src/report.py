@@ -130,13 +130,13 @@ def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
         print(f"No plots: {NO_MATPLOTLIB}")
         return {}
     from omniocc.report.plots import robustness
-    from omniocc.report.plots.figures import PLOTS, learning_curves
+    from omniocc.report.plots.figures import PLOTS, learning_curves, without_math
     from omniocc.report.plots.svg import as_png, as_svg
 
     drawn = {}
-    figures = {name: (title, plot(sweep.rows)) for name, (title, plot) in PLOTS.items()}
+    figures = {name: (title, plot(without_math(sweep.rows))) for name, (title, plot) in PLOTS.items()}
     if rows := training.runs_by_row(sweep):
-        figures["learning-curves"] = (training.CURVES_TITLE, learning_curves(rows))
+        figures["learning-curves"] = (training.CURVES_TITLE, learning_curves(without_math(rows)))
     if sweep.robustness:
         figures["robustness"] = (disturbed.TITLE, robustness.drops(disturbed.comparable(sweep.robustness)[0]))
     for name, (title, figure) in figures.items():

@@ -22,7 +22,7 @@ from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, checked_name
 from omniocc.metric import DepthMetrics
 from omniocc.model.occupancy import to_unit_range
 from omniocc.predict.network import load_depth
@@ -45,8 +45,8 @@ FRAMES = ROOT / "tests" / "weights"
 
 
 def recipe_of(name: str) -> dict[str, Any]:
-    """Return a recipe, on top of the one that it is like; raise UserError if there is none."""
-    path = RECIPES / f"{name}.yaml"
+    """Return a recipe, on top of the one that it is like; raise UserError if none can have the name."""
+    path = RECIPES / f"{checked_name('NAME', name)}.yaml"
     if not path.is_file():
         raise UserError(f"NAME={name}: choose one of {', '.join(sorted(file.stem for file in RECIPES.glob('*.yaml')))}")
     own = yaml.safe_load(path.read_text())

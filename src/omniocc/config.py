@@ -19,6 +19,7 @@ from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 from omniocc.code import code_of_classes, spec_of
 from omniocc.errors import UserError, first_line
+from omniocc.io import checked_name
 from omniocc.urls import credentials_problem
 
 MAX_SEED = 2**32 - 1
@@ -138,6 +139,8 @@ GROUPS = (
 )
 
 
+NAMES = ("name", "preset.name", "logger.group")
+"""Keys whose values files, folders and groups of runs are called by."""
 NOT_OF_TRAINER = {
     "callbacks": "train.py makes the callbacks; it has no key for more",
     "logger": "train.py makes the loggers: choose by logger.mode=...",
@@ -158,6 +161,7 @@ def check_root(cfg: DictConfig) -> None:
     """
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
+    problems += [] if problems else _wrong_names(cfg)
     problems += [f"packages: {name} {NOT_THERE}" for name in more if spec_of(name) is None]
     problems += [f"trainer.{key}: {reason}" for key, reason in NOT_OF_TRAINER.items() if key in cfg.get("trainer", ())]
     try:
@@ -166,6 +170,15 @@ def check_root(cfg: DictConfig) -> None:
         problems += error.problems
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def _wrong_names(cfg: DictConfig) -> Iterator[str]:
+    for key in NAMES:
+        try:
+            if (name := OmegaConf.select(cfg, key)) is not None:
+                checked_name(key, name)
+        except ValueError as error:
+            yield str(error)
 
 
 def target_of(node: Mapping[Any, Any]) -> type:

@@ -1,4 +1,4 @@
-"""Write files atomically: whole or not at all; read text, JSON and YAML in which every name stands once."""
+"""Write files atomically; check names that become those of files; read text in which every name stands once."""
 
 import contextlib
 import errno
@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, first_line
+from omniocc.errors import DataError, UserError, first_line
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -29,6 +29,11 @@ YAML: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _AS_TEXT = ("tag:yaml.org,2002:merge", "tag:yaml.org,2002:value")  # of the keys << and =, which have no value
 Name = TypeVar("Name", bound=Hashable)
 
+NAME_BYTES = 100
+"""Most bytes of a name; those of files and folders, which add to it, may have 255."""
+NOT_IN_NAMES = frozenset('/\\<>:"|?*')
+"""Characters that separate folders, or that some file system, HTML or a Markdown table takes for its own."""
+
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
     errno.EFBIG: "files may not grow that large here: raise the limit (ulimit -f)",
@@ -38,6 +43,26 @@ _REMEDIES = {
     errno.EPERM: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
     errno.EMFILE: "too many open files: raise the limit (ulimit -n)",
 }
+
+
+def checked_name(what: str, name: object) -> str:
+    """Return a name that becomes a part of the path of a file or folder.
+
+    Raises:
+        UserError: naming `what` has the name, if it could lead out of its folder, be hidden, or not be written.
+    """
+    if isinstance(name, str) and _can_be_in_paths(name):
+        return name
+    shown = repr(name) if len(repr(name)) <= NAME_BYTES else f"{repr(name)[:NAME_BYTES]}..."
+    raise UserError(
+        f"{what} is {shown}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
+        f"{' '.join(sorted(NOT_IN_NAMES))}, no point first, no space first or last"
+    )
+
+
+def _can_be_in_paths(name: str) -> bool:
+    sized = name.isprintable() and 0 < len(name.encode()) <= NAME_BYTES
+    return sized and not set(name) & NOT_IN_NAMES and name.strip() == name and not name.startswith(".")
 
 
 def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path | None = None) -> None:

@@ -35,8 +35,11 @@ def test_the_origin_lies_as_high_above_the_road_as_in_training(rig, capsys):
     assert height_m == pytest.approx(-0.916 + 2.2)
     assert raised.road_z_m == pytest.approx(-2.2)
     assert torch.allclose(raised.ego_from_camera[:, 2, 3], low.ego_from_camera[:, 2, 3] - height_m)
+    assert "the grid lies 1.28 m higher" in capsys.readouterr().err
     assert files.on_road(with_road(low, -2.2), -2.2)[1] == 0
     assert capsys.readouterr().err == ""
+    assert files.on_road(low, None) == (low, 0.0)
+    assert "stays around the origin of the rig" in capsys.readouterr().err
     unknown = replace(low, road_z_m=None)
     assert files.on_road(unknown, -2.2) == (unknown, 0.0)
     assert "taken for -2.2 m, as in training" in capsys.readouterr().err

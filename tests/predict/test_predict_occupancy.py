@@ -204,7 +204,7 @@ def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, images, tmp_path, 
     assert np.array_equal(np.load(tmp_path / "out2" / "9" / "voxels.npz")["labels"], first)
 
 
-def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_path, run):
+def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_path, capsys, run):
     """Move the origin of the same car's files 1.7 m down, to half a metre above the road."""
     poses = RIG.ego_from_camera.clone()
     poses[:, 2, 3] += 1.7
@@ -215,6 +215,7 @@ def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_pa
     write_poses(tmp_path / "low.csv", FRAMES, world_from_low)
     source = (f"checkpoint={checkpoint}", f"images={images}", f"rig={tmp_path / 'low.yaml'}")
     run(*source, f"poses={tmp_path / 'low.csv'}", "road_z_m=-0.5", "overview=false", f"output={tmp_path / 'out'}")
+    assert "0.5 m below the origin of the rig (its road_z_m), 2.2 m in the training" in capsys.readouterr().out
     assert (labels_in(tmp_path / "out") == evaluated[0]).mean() > 0.999  # apart from rounding of poses
     arrays = np.load(tmp_path / "out" / FRAMES[1] / "voxels.npz")
     assert np.allclose((arrays["low"][2], arrays["high"][2]), (-2.8 + 1.7, 3.6 + 1.7))
@@ -354,10 +355,34 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
         run(f"checkpoint={trained}", f"recorded={scene}", f"output={tmp_path / 'other'}")
 
 
+def test_a_network_of_drawn_rigs_keeps_its_grid_around_the_origin_of_the_rig(
+    images, smoke, spec, tmp_path, capsys, run
+):
+    """As in its training, where every rig had the road at another height and labels lay around the rig."""
+    cfg = smoke("data.source.rig=random")
+    trained = tmp_path / "drawn.ckpt"
+    task = build_task(cfg, dataclasses.replace(spec, road_z_m=None))
+    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, trained)
+    shutil.copytree(images / FRAMES[0], tmp_path / "alone" / FRAMES[0])
+    source = f"checkpoint={trained}", f"images={tmp_path / 'alone'}", f"rig={images / 'rig.yaml'}"
+    run(*source, *QUICK, "road_z_m=-0.7", f"output={tmp_path / 'out'}")
+    assert "the grid stays around the origin of the rig" in capsys.readouterr().out
+    low = np.load(tmp_path / "out" / FRAMES[0] / "voxels.npz")["low"][2]
+    assert low == pytest.approx(task.model.geometry.height_m[0])
+
+
+def test_exported_images_state_the_road_and_are_those_of_the_training(images, checkpoint, spec, tmp_path, capsys, run):
+    assert Rig.load(images / "rig.yaml").road_z_m == spec.road_z_m
+    shutil.copytree(images / FRAMES[0], tmp_path / "alone" / FRAMES[0])
+    source = f"checkpoint={checkpoint}", f"images={tmp_path / 'alone'}", f"rig={images / 'rig.yaml'}"
+    run(*source, *QUICK, f"output={tmp_path / 'out'}")
+    assert "road  " not in capsys.readouterr().out
+
+
 def test_a_road_at_another_height_than_in_training_is_told(scene, spec):
     sequences = find_scenes(scene, None, None)
-    same, low = (SimpleNamespace(any_rig=False, road_z_m=height_m) for height_m in (spec.road_z_m, -0.9))
+    same, low, drawn = (SimpleNamespace(road_z_m=height_m) for height_m in (spec.road_z_m, -0.9, None))
     assert other_heights(sequences, same) == []
-    assert other_heights(sequences, SimpleNamespace(any_rig=True, road_z_m=-0.9)) == []
+    assert other_heights(sequences, drawn) == []
     (line,) = other_heights(sequences, low)
     assert "2.2 m below the origin of test-000-nowhere, 0.9 m in the training" in line

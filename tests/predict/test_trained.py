@@ -1,5 +1,6 @@
 """What a configuration tells of the training data, without any scene on the disk."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -39,3 +40,11 @@ def test_a_model_of_random_rigs_says_so():
 def test_the_road_is_where_the_rig_of_the_training_had_it():
     assert trained_with("data.source.rig=surround_view").road_z_m == Rig.load("surround_view").road_z_m
     assert trained_with().road_z_m == -2.2
+    assert trained_with("data.source.rig=random").road_z_m is None
+
+
+def test_the_cameras_of_the_training_are_known_also_where_only_one_rig_states_the_road():
+    own = trained_with()
+    assert own.rig.road_z_m is None
+    assert compare_rig(replace(Rig.load("fisheye6"), road_z_m=-2.2), own) == "as in training"
+    assert compare_rig(Rig.load("surround_view"), own) == "not those of the training (fisheye6): expect worse results"

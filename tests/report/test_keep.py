@@ -41,6 +41,15 @@ def test_a_newer_run_replaces_that_of_its_row_and_seed_alone(runs, tmp_path):
     assert names == {run.name for run in read_runs(runs)} - {"ours-00000001"} | {"ours-0000000a"}
 
 
+def test_a_newer_run_of_changed_code_does_not_replace_that_of_a_commit(runs, tmp_path):
+    kept, later = tmp_path / "kept", tmp_path / "later"
+    keep_records(runs, kept)
+    path = shutil.copytree(runs / "ours-00000001", later / "ours-0000000a") / "metrics.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {FINISHED: utc_text(4e9), "commit": "abc+"}))
+    assert keep_records(later, kept) == []
+    assert {run.name for run in read_runs(kept)} == {run.name for run in read_runs(runs)}
+
+
 def test_of_two_runs_of_a_row_and_seed_the_newest_is_kept(runs, tmp_path):
     """The one that finished last, whatever the time of its file."""
     shutil.copytree(runs, tmp_path / "runs")

@@ -27,6 +27,61 @@ def test_a_row_that_cannot_be_composed_is_named(tmp_path):
         assign_rows([demo], tmp_path / "conf", ["broken"])
 
 
+def train(folder: Path, run: Path, name: str, facts: dict) -> None:
+    """Make a run with the configuration of the row `ours` and the figures of another, under a name of its own."""
+    shutil.copytree(run, folder / name)
+    known = json.loads((folder / name / "metrics.json").read_text())
+    (folder / name / "metrics.json").write_text(json.dumps(known | {"run": name} | facts))
+    config = compose_plain(CONF, "train", [f"name={name[:-9]}", "preset=tiny", "+learning_rate=chain"])
+    (folder / name / "config.yaml").write_text(yaml.safe_dump(config))
+
+
+EARLY, LATE = {"finished": "2026-01-01T00:00:00Z"}, {"finished": "2026-02-01T00:00:00Z"}
+OTHER_RAYS = {"protocol": {"rayiou": "rays from eight origins", "voxel": "all cells"}}
+
+
+@pytest.mark.parametrize("rays", [{}, OTHER_RAYS])
+@pytest.mark.parametrize("commit", ["abc", "abc+"])
+def test_a_newer_run_of_another_name_does_not_take_the_row(runs, tmp_path, rays, commit):
+    train(tmp_path, runs / "ours-00000001", "ours-00000001", EARLY)
+    train(tmp_path, runs / "dense-00000001", "mine-00000001", LATE | rays | {"commit": commit})
+    sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
+    assert {row: [run.name for run in members] for row, members in sweep.rows.items()} == {"ours": ["ours-00000001"]}
+    reason = "since their scores are counted by another protocol: mine-00000001 (RayIoU: rays from eight origins)."
+    assert (
+        f"Left out, {reason if rays else 'runs of other names of the same row and seed: mine-00000001'}" in sweep.remark
+    )
+
+
+def test_many_runs_counted_otherwise_do_not_displace_the_run_of_the_row(runs, tmp_path):
+    train(tmp_path, runs / "ours-00000001", "ours-00000001", EARLY)
+    for number in range(1, 4):
+        name = f"mine-0000000{number}"
+        train(tmp_path, runs / "dense-00000001", name, LATE | OTHER_RAYS | {"seed": number, "commit": "abc+"})
+    sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
+    assert [run.name for run in sweep.runs] == ["ours-00000001"]
+
+
+def test_a_run_of_a_commit_comes_before_a_newer_one_of_changed_code(runs, tmp_path):
+    train(tmp_path, runs / "ours-00000001", "ours-00000001", EARLY)
+    train(tmp_path, runs / "ours-00000001", "ours-0000000a", LATE | {"commit": "abc+"})
+    train(tmp_path, runs / "ours-00000001", "ours-0000000b", LATE | {"commit": "unknown"})
+    sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
+    assert [run.name for run in sweep.runs] == ["ours-00000001"]
+    assert "Left out, runs of changed code of the same row and seed: ours-0000000a, ours-0000000b." in sweep.remark
+
+
+def test_runs_of_more_steps_counted_otherwise_are_not_beside_the_others(runs, tmp_path):
+    train(tmp_path, runs / "ours-00000001", "ours-00000001", {})
+    train(tmp_path, runs / "ours-00000002", "ours-00000002", {})
+    train(tmp_path, runs / "ours-00000001", "ours-00000003", {"steps": 400} | OTHER_RAYS)
+    train(tmp_path, runs / "ours-00000001", "ours-00000004", {"steps": 4000})
+    first, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
+    assert list(first.lengths) == ["ours@40", "ours@4000"]
+    assert [sweep.runs[0].name for sweep in first.longer] == ["ours-00000004"]
+    assert "counted by another protocol: ours-00000003 (RayIoU: rays from eight origins)." in first.remark
+
+
 def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs, tmp_path):
     shutil.copytree(runs / "dense-00000001", tmp_path / "demo-0123abcd")
     facts = json.loads((tmp_path / "demo-0123abcd" / "metrics.json").read_text())

@@ -6,7 +6,7 @@ import pytest
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, write_checkpoint
 from omniocc.run.distributed import is_first
-from omniocc.run.folder import METRICS, command_line, open_run, run_hash
+from omniocc.run.folder import METRICS, command_line, command_of, open_run, run_hash
 
 
 def test_the_hash_depends_only_on_what_decides_the_result():
@@ -165,3 +165,26 @@ def test_a_command_names_no_machine(tmp_path, monkeypatch):
     for script in ("src/train.py", str(tmp_path / "src" / "train.py")):
         monkeypatch.setattr("sys.argv", [script, "name=my run", "+ablation=mono"])
         assert command_line() == "python src/train.py 'name=my run' +ablation=mono"
+
+
+def test_environment_variables_that_decide_are_part_of_the_command(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["src/train.py", "model/sketch=own"])
+    monkeypatch.setenv("OMNIOCC_PACKAGES", "my_package,other")
+    monkeypatch.setenv("OMNIOCC_PRESET", "smoke")
+    expected = "OMNIOCC_PACKAGES=my_package,other OMNIOCC_PRESET=smoke python src/train.py model/sketch=own"
+    assert command_line() == expected
+
+
+def test_the_packages_that_a_recorded_command_lacks_are_added():
+    own = {
+        "model": {
+            "sketch": {"_target_": "my_package.Sketch"},
+            "refiner": {"_target_": "omniocc.model.refiner.NoRefiner"},
+        }
+    }
+    facts = {"command": "python src/train.py model/sketch=own"}
+    assert command_of(facts, own) == f"OMNIOCC_PACKAGES=my_package {facts['command']}"
+    assert command_of({"command": command_of(facts, own)}, own) == f"OMNIOCC_PACKAGES=my_package {facts['command']}"
+    assert command_of(facts, own | {"packages": ["my_package"]}) == facts["command"]
+    assert command_of(facts, {}) == facts["command"]
+    assert command_of({}, own) is None

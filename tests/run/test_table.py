@@ -7,13 +7,17 @@ from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
 from omniocc.report.tables.overview import table_of_runs
 from omniocc.run.results import load_results, save_results, show_results
-from omniocc.run.table import as_markdown, by_origin, per_class, summary
+from omniocc.run.table import as_markdown, by_origin, markdown, per_class, summary
 
 METRICS = {
     "test/rayiou": 0.25, "prior/rayiou": 0.125, "label/rayiou": 1.0,
     "test/rayiou_17-25.6m": 0.1, "test/rayiou_0-8.5m": 0.4,
     "test/rayiou_8.5-17m": 0.2, "test/rayiou/Road": 0.75, "test/rayiou/Pedestrian": math.nan, "label/lidar/rayiou": 0.6,
 }  # fmt: skip
+
+
+def test_a_cell_stays_one_cell_and_one_line():
+    assert markdown(["row", "x"], [["a|b\n| c", "1"]]) == "| row | x |\n| --- | ---: |\n| a\\|b \\| c | 1 |\n"
 
 
 def test_bands_stand_in_order_of_distance():

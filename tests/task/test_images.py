@@ -1,15 +1,20 @@
 from types import SimpleNamespace
 
 import cv2
+import numpy as np
 import pytest
 import torch
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.loggers import CSVLogger
+from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
-from omniocc.task.images import DepthImages, OccupancyImages, SketchImages
+from omniocc.run.curves import read_curve
+from omniocc.task.images import DepthImages, Drawn, FrameImages, OccupancyImages, SketchImages
 from omniocc.view import SheetParts
 
 GRID = Cylinder(shape=(6, 10, 4))
@@ -58,7 +63,8 @@ OUTPUTS = {
 def run(callback, root=True):
     """Passes all frames through the callback, as a test and as a validation."""
     loader = SimpleNamespace(batch_size=BATCH, dataset=range(2 * FRAMES), sampler=range(FRAMES))  # of two processes
-    trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
+    trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=31, test_dataloaders=loader)
+    trainer.fit_loop = SimpleNamespace(epoch_loop=SimpleNamespace(_batches_that_stepped=30))
     task = SimpleNamespace(model=FakeModel(), sketch=FakeModel())
     for number, first in enumerate(range(0, FRAMES, BATCH)):
         batch = batch_of(tuple(f"scene/{k:04d}" for k in range(first, min(first + BATCH, FRAMES))))
@@ -100,3 +106,46 @@ def test_parts_of_test_sheets_are_files_of_their_own(tmp_path):
 def test_a_negative_number_of_images_is_refused(tmp_path):
     with pytest.raises(UserError, match="-1 test images: give 0"):
         OccupancyImages(tmp_path, -1, WORLD_CLASSES)
+
+
+class Steps(LightningModule):
+    """A linear layer that logs a score in every validation."""
+
+    def __init__(self):
+        super().__init__()
+        self.layer = torch.nn.Linear(1, 1)
+
+    def training_step(self, batch, index):
+        return self.layer(batch.images).mean()
+
+    def validation_step(self, batch, index):
+        self.log("val/rayiou", 0.5, batch_size=1)
+        return batch.images[None]
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+class OnePixel(FrameImages):
+    key = "voxels"
+
+    def draw(self, task, output, batch, sample):
+        return Drawn(np.zeros((1, 1, 3), np.uint8))
+
+
+def test_images_of_validations_have_the_steps_of_the_curves(tmp_path):
+    """Also where batches are accumulated, and of the validation after the training."""
+    frames = [SimpleNamespace(images=torch.ones(1, 1), frame_ids=("a/0",)) for _ in range(12)]
+    loader = DataLoader(frames, batch_size=None)
+    trainer = Trainer(
+        max_steps=6, val_check_interval=4, check_val_every_n_epoch=None, accumulate_grad_batches=2, accelerator="cpu",
+        limit_val_batches=1, num_sanity_val_steps=0, enable_checkpointing=False, enable_progress_bar=False,
+        enable_model_summary=False, logger=CSVLogger(tmp_path, name="csv", flush_logs_every_n_steps=1),
+        callbacks=[OnePixel(tmp_path / "images", 1, WORLD_CLASSES)],
+    )  # fmt: skip
+    task = Steps()
+    trainer.fit(task, loader, loader)
+    trainer.validate(task, loader, verbose=False)
+    steps = sorted(read_curve(tmp_path, "val/rayiou"))
+    assert [path.name for path in sorted(tmp_path.glob("images/*"))] == [f"val-step{step:06d}.png" for step in steps]
+    assert len(steps) == 4

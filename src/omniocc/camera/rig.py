@@ -15,6 +15,7 @@ from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
 from omniocc.camera.rig_file import Calibration, read_rig, write_rig
+from omniocc.io import checked_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +37,15 @@ class Rig:
     road_z_m: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the parts; raise ValueError naming the camera whose pose or mask is wrong."""
+        """Check the parts; raise ValueError naming the camera whose name, pose or mask is wrong."""
         count = len(self.cameras)
         if count == 0 or len(self.names) != count or self.ego_from_camera.shape != (count, 4, 4):
             raise ValueError(
                 f"{count} cameras, {len(self.names)} names, poses of shape {tuple(self.ego_from_camera.shape)}: "
                 "a rig needs at least one camera and one name and one 4x4 pose for each"
             )
+        for name in self.names:
+            checked_name("the name of a camera", name)
         if len(set(self.names)) != count:
             raise ValueError(f"camera names {list(self.names)} are not unique")
         if self.masks is not None and len(self.masks) != count:

@@ -46,7 +46,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
-from omniocc.io import atomic_write, read_short_text, twice
+from omniocc.io import atomic_write, checked_name, read_short_text, twice
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -81,7 +81,7 @@ def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibrat
         entries = mapping(content["cameras"], "'cameras'")
         if len(entries) > MAX_CAMERAS:
             raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
-        names = tuple(map(str, entries))
+        names = tuple(checked_name("the name of a camera", str(name)) for name in entries)
         if name := twice(names):
             raise ValueError(f"camera '{name}' stands twice; keep one")
     read = [_read_entry([*within, file], name, entry) for name, entry in zip(names, entries.values(), strict=True)]

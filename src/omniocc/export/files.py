@@ -17,7 +17,7 @@ from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
 from omniocc.predict.input.images import even_size
-from omniocc.predict.input.sequence import raise_rig, with_road
+from omniocc.predict.input.sequence import origin_above_rig, origin_line, raise_rig, with_road
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.trained import training_data
 
@@ -69,17 +69,16 @@ def export_files(options: Options) -> str:
     return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
 
 
-def on_road(rig: Rig, trained_z_m: float) -> tuple[Rig, float]:
+def on_road(rig: Rig, trained_z_m: float | None) -> tuple[Rig, float]:
     """Return the rig with its origin as high above the road as in training, and by how much that is higher, m.
 
-    Where the height of the road is not known, a line says so and the rig stays.
+    A line says how the origin moves. It stays where the height of the road is not known here or in the training.
     """
-    if rig.road_z_m is None:
-        line = f"the height of the road is not known (road_z_m): taken for {trained_z_m:g} m, as in training"
-        print(line, file=sys.stderr, flush=True)
-        return rig, 0.0
-    height_m = round(rig.road_z_m - trained_z_m, 6)
-    return raise_rig(rig, height_m), height_m
+    line = origin_line(rig.road_z_m, trained_z_m)
+    if line:
+        print(f"road: {line}", file=sys.stderr, flush=True)
+    height_m = round(origin_above_rig(rig.road_z_m, trained_z_m), 6)
+    return raise_rig(rig, height_m) if height_m else rig, height_m
 
 
 def scale_rig(rig: Rig, width: int) -> Rig:

@@ -18,6 +18,7 @@ from omniocc.predict.network import load_depth, predict_depth
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import training_data
 from omniocc.run.weights import find_checkpoint
@@ -39,11 +40,13 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
     frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
     for line in remarks(frames, rig):
         print(line, flush=True)
+    road_within = check_within(cfg.road_within)
     model, image_width = choose_model(cfg, overrides, rig)
     device = choose_device(cfg.device)
     for frame in frames:
         folder = Path(cfg.output) / frame.name
-        print(predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device, show), flush=True)
+        line = predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device, show, road_within)
+        print(line, flush=True)
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
@@ -74,14 +77,15 @@ def predict_frame(
     bev_range_m: float,
     device: torch.device,
     show: ShowRanges | None = None,
+    road_within: float = 0.0,
 ) -> str:
-    """Predict one frame, write its files, show it, and return a line about it."""
+    """Predict one frame, write its files, show it, and return a line about it; `road_within` as in `on_road`."""
     watch = Stopwatch(device, ("read", "depth", "write"))
     with watch("read"):
         images = read_frame(frame, rig)
         batch, scaled = resized_to_width(images, rig, image_width)
     with watch("depth"):
-        depth = predict_depth(model, batch, scaled, device)
+        depth = on_road(predict_depth(model, batch, scaled, device), model, scaled, road_within)
     with watch("write"):
         range_m, panorama = depth.known_range_m()[0], cast(Equirectangular, model.panorama)
         cloud = point_cloud(range_m, panorama, images, rig)
@@ -92,4 +96,8 @@ def predict_frame(
     if show is not None:
         show(frame, images, rig, range_m, panorama)
     answered = float(depth.valid.float().mean())
-    return f"{folder}: {panorama.width}x{panorama.height} px, {answered:.0%} with an answer, {points} points; {watch}"
+    size, road = f"{panorama.width}x{panorama.height} px", ""
+    if rig.road_z_m is not None:
+        road = road_line(range_m, panorama, rig.road_z_m)
+    facts = [size, f"{answered:.0%} with an answer", f"{points} points", *filter(None, [road])]
+    return f"{folder}: {', '.join(facts)}; {watch}"

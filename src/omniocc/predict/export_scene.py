@@ -1,6 +1,7 @@
 """Write a recorded scene in the form of a user's own images: `python -m omniocc.predict.export_scene SCENE FOLDER`."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -20,7 +21,8 @@ RIG, POSES = "rig.yaml", "poses.csv"
 def export_scene(scene: Path, folder: Path) -> int:
     """Write `<frame>/<camera>.png`, `rig.yaml` and `poses.csv` of a recorded scene, without any loss.
 
-    The folder is created if it is missing; the number of frames is returned.
+    The rig states the height of the road where the scene does. The folder is created if it is missing; the number of
+    frames is returned.
 
     Raises:
         UserError: when there is no scene.
@@ -30,7 +32,7 @@ def export_scene(scene: Path, folder: Path) -> int:
         raise UserError(f"{scene} is not a recorded scene; give one such as data/virtual-<hash>/test-000-downtown")
     reader = SceneReader(scene)
     sequence = RecordedSequence(reader, tuple(range(len(reader))))
-    sequence.rig.save(folder / RIG)
+    replace(sequence.rig, road_z_m=sequence.road_z_m).save(folder / RIG)
     write_poses(folder / POSES, sequence.frame_names, torch.as_tensor(sequence.world_from_ego))
     for k, frame in enumerate(sequence.frame_names):
         for name, image in zip(sequence.rig.names, sequence.images(k), strict=True):

@@ -16,7 +16,15 @@ from omniocc.predict.export_scene import RIG
 from omniocc.predict.input.images import find_frames, remarks
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
-from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes, with_road
+from omniocc.predict.input.sequence import (
+    FrameSequence,
+    ImageSequence,
+    RecordedSequence,
+    find_scenes,
+    origin_above_rig,
+    origin_line,
+    with_road,
+)
 from omniocc.predict.job import Job, ShowFrame
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import Options, choose_device, load_rig, require
@@ -129,7 +137,8 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
             raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
         poses = read_poses(Path(options.poses), [frame.name for frame in frames])
     sequence = ImageSequence(rig, frames, poses)
-    return [sequence if rig.road_z_m is None else sequence.raise_origin(rig.road_z_m - trained.road_z_m)]
+    height_m = origin_above_rig(rig.road_z_m, trained.road_z_m)
+    return [sequence.raise_origin(height_m) if height_m else sequence]
 
 
 def rig_of(options: Options) -> Rig:
@@ -194,37 +203,49 @@ def announcement(
     return [
         f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
         f"cameras   {', '.join(sequences[0].rig.names)}: {compare_rig(sequences[0].rig, trained)}",
+        *own_height(sequences[0], trained),
         *other_heights(sequences, trained),
         f"history   {used}",
     ]
 
 
+def own_height(sequence: FrameSequence, trained: TrainingData) -> list[str]:
+    """Return a line on how a user's own images, and not recorded scenes, are put above the road."""
+    rig = sequence.rig
+    if isinstance(sequence, RecordedSequence) or (rig.road_z_m is None and same_rig(rig, trained)):
+        return []
+    road_z_m = None if rig.road_z_m is None else rig.road_z_m + sequence.origin_z_m
+    line = origin_line(road_z_m, trained.road_z_m)
+    return [f"road      {line}"] if line else []
+
+
 def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> list[str]:
     """Return a line where recorded scenes have the road at another height than the model had in its training."""
     for one in (sequence for sequence in sequences if isinstance(sequence, RecordedSequence)):
-        road_z_m = _road_z_m(one)
-        if road_z_m is not None and not trained.any_rig and abs(road_z_m - trained.road_z_m) >= SAME_HEIGHT_M:
+        road_z_m, trained_z_m = one.road_z_m, trained.road_z_m
+        if road_z_m is None or trained_z_m is None:
+            continue
+        if abs(road_z_m - trained_z_m) >= SAME_HEIGHT_M:
             remedy = "; record it with an origin as high" if "log" in one.scene.meta.get("facts", {}) else ""
             return [
-                f"road      {-road_z_m:g} m below the origin of {one.name}, {-trained.road_z_m:g} m in the training: "
+                f"road      {-road_z_m:g} m below the origin of {one.name}, {-trained_z_m:g} m in the training: "
                 f"expect wrong voxels{remedy}"
             ]
     return []
-
-
-def _road_z_m(recorded: RecordedSequence) -> float | None:
-    """Return the height of the road that a scene's rig states, or the scene with its classes; None without both."""
-    if recorded.rig.road_z_m is not None or not recorded.labelled:
-        return recorded.rig.road_z_m
-    return recorded.spec.road_z_m
 
 
 def compare_rig(rig: Rig, trained: TrainingData) -> str:
     """Return in words whether the model was trained with this rig."""
     if trained.any_rig:
         return "trained with rigs drawn at random"
-    try:
-        same = rig.resized(*trained.image_size) == trained.rig
-    except ValueError:  # a lens cannot be brought to that size
-        return f"trained with {trained.rig_name}"
+    same = same_rig(rig, trained)
     return "as in training" if same else f"not those of the training ({trained.rig_name}): expect worse results"
+
+
+def same_rig(rig: Rig, trained: TrainingData) -> bool:
+    """Return whether the cameras are those of the training, at any size; one of both may not state the road."""
+    try:
+        scaled = rig.resized(*trained.image_size)
+    except ValueError:  # a lens cannot be brought to that size
+        return False
+    return replace(scaled, road_z_m=trained.rig.road_z_m) == trained.rig

@@ -6,7 +6,6 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
-from omniocc.camera.drawn import RANDOM
 from omniocc.classes import ClassTable
 from omniocc.config import build
 from omniocc.data import OccupancyData
@@ -23,7 +22,7 @@ class TrainingData:
     Attributes:
         rig: its cameras, at the size of its images; those of its first frame, if they differ.
         rig_name: name or file of the rig, `random`, or a phrase where scenes are recorded.
-        road_z_m: height of the road in its ego frame.
+        road_z_m: height of the road in its ego frame, m; None: another one in every scene, as with drawn rigs.
         classes: table of the model's classes.
         unknown: label of true cells without points.
         frame_interval_s: time between frames, and so the age of the newest past one, s.
@@ -31,7 +30,7 @@ class TrainingData:
 
     rig: Rig
     rig_name: str
-    road_z_m: float
+    road_z_m: float | None
     classes: ClassTable
     unknown: Unknown
     frame_interval_s: float
@@ -39,7 +38,7 @@ class TrainingData:
     @property
     def any_rig(self) -> bool:
         """Return whether every scene had another rig."""
-        return self.rig_name == RANDOM
+        return self.road_z_m is None
 
     def width_for(self, rig: Rig) -> int:
         """Return the width, px, at which images of a rig have about as many pixels as those of the training."""

@@ -28,7 +28,7 @@ from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, checked_name
 from omniocc.progress import Progress
 from omniocc.record.log import Log, Plan, Timing, check_timing, missing_lines, plan_frames
 
@@ -300,7 +300,7 @@ def fitted(
 
 
 def check_name(name: str) -> str:
-    """Return the name of a scene; raise ValueError if it cannot be that of a folder of scenes."""
-    if not name or set(name) & set("./\\") or name.strip() != name:
+    """Return the name of a scene; raise ValueError if it cannot be that of a folder of scenes, which has no point."""
+    if "." in name:
         raise ValueError(f"name is '{name}'; a folder gets it: no point, no slash, such as train-000-town")
-    return name
+    return checked_name("name", name)

@@ -42,6 +42,12 @@ RECORDS = (
     "`machine` is where a run ended: some were begun on another one, a GPU too ([protocol](protocol.md#changes)), and "
     "their minutes are those of both."
 )
+TRAINED = (
+    "Depth and sketch are trained by the same recipe, for some rows again on another machine "
+    "([protocol](protocol.md#changes)), so that rows can have other networks in the same seed. Learning rates are "
+    "those chosen at the fewest steps. Other tables of the rows with more steps are on pages named `steps_<number>.md`."
+)
+BESIDE = "Other programs ran on the same machines."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
@@ -53,12 +59,12 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     """Return every table of one setting as Markdown under a heading of level 2, by name; the budget is of `listed`."""
     decided = sweep.claims
     papers = {table.name: _of_paper(sweep, table, decided) for table in sweep.tables}
-    cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(listed))}"
+    cost = f"## Budget\n\n{budget.note(listed)}\n\n{markdown(*budget.budget_cells(listed))}"
     limits = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
     found = {"claims": parts_text(verdicts_parts(sweep.tables, sweep.table_rows, decided)), "bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
-    tests = f"{robustness_markdown(sweep.robustness)}\n{DISTURBANCES}" if sweep.robustness else ""
+    tests = robustness_markdown(sweep.robustness) if sweep.robustness else ""
     found |= papers | {"training": training.chapter(sweep), ROBUSTNESS: tests, "budget": cost}
     return {name: text for name, text in found.items() if text}
 
@@ -109,13 +115,14 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     Raises:
         DataError: naming the file that cannot be written.
     """
-    sweep, every = sweeps[0], [run for sweep in sweeps for run in sweep.runs]
+    sweep, every = documented(sweeps[0]), [run for sweep in sweeps for run in sweep.runs]
     listed = rows_in(sweep.tables, sweep.table_rows)
     pages = {}
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
-        pages[name] = text if name == ROBUSTNESS else f"{text}\n{foot(runs_on(name, sweep))}"  # tests tell their own
+        pages[name] = f"{text}\n{DISTURBANCES if name == ROBUSTNESS else foot(runs_on(name, sweep))}"
     if "training" in pages:
-        pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_IMAGE})"
+        pages["training"] += f" {TRAINED}\n\n![Validation RayIoU over the steps]({CURVES_IMAGE})"
+    pages["budget"] += f" {BESIDE}"
     for steps, longer in list(training.by_steps(sweep).items())[1:]:
         of_tables = [run for runs in runs_of_steps(longer).values() for run in runs]
         pages[f"steps_{steps}"] = f"{longer_chapter(longer, sweep.runs[0].setting[1])}\n{foot(of_tables)}"
@@ -132,6 +139,12 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
             written.append(folder / f"{name}.md")
             atomic_write(written[-1], f"{GENERATED}\n\n{HEADING.sub('', text).rstrip()}\n")
     return written
+
+
+def documented(sweep: Sweep) -> Sweep:
+    """Return a sweep, and its longer ones, with what the tables say of the runs of the documentation."""
+    tables = [table._replace(note=f"{table.note} {table.here}".strip()) for table in sweep.tables]
+    return sweep._replace(tables=tables, longer=[documented(longer) for longer in sweep.longer])
 
 
 def runs_on(page: str, sweep: Sweep) -> list[FinishedRun]:
@@ -172,7 +185,7 @@ def run_list(sweep: Sweep, folder: Path) -> str:
     lines = ["## Runs", ""]
     for run in (run for runs in sweep.rows.values() for run in runs):
         where = path_between(folder, run.folder)
-        command = str(run.facts.get("command", "command not recorded"))
+        command = run.command or "command not recorded"
         lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
     return "\n".join([*lines, ""])
 

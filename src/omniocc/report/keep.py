@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
-from omniocc.report.selection import newest_of
+from omniocc.report.selection import best_of, preference
 from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
 from omniocc.run.results import FROM_TRAJECTORY
@@ -20,10 +20,11 @@ KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS, f"{FROM_TRAJECTORY}/{METR
 def keep_records(runs: Path, folder: Path) -> list[Path]:
     """Copy the configuration, figures, curves and later tests of finished runs and return their new folders.
 
-    Of several runs of one row, seed and setting the newest is copied. Later tests are those from other origins of rays
-    and those under disturbances; tests of weights that have no run are copied and returned too. Runs of an earlier call
-    stay, but for those that a newer run replaces: one of the same row, seed and setting. Where a run has been trained
-    again since, the later tests of its former weights go as well.
+    Of several runs of one row, seed and setting that of `best_of` is copied. Later tests are those from other origins
+    of rays and those under disturbances; tests of weights that have no run are copied and returned too. Runs of an
+    earlier call stay, but for those that a newer run replaces: one of the same row, seed and setting, which is not of
+    changed code while theirs is that of a commit. Where a run has been trained again since, the later tests of its
+    former weights go as well.
 
     Raises:
         UserError: when there is neither a finished run nor such a test.
@@ -35,9 +36,14 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     kept = [folder / path.parent.name for path in tests]
     if kept and not any(runs.glob(f"*/{METRICS}")):
         return kept
-    found = read_runs(runs)
-    newest = newest_of(found)
-    finished = [run for run in found if newest[run.place, run.setting] is run]
+    found, before = read_runs(runs), read_runs(folder) if any(folder.glob(f"*/{METRICS}")) else []
+    best, stays = best_of(found), best_of(before)
+    finished = [
+        run
+        for run in found
+        if best[run.place, run.setting] is run
+        and preference(stays.get((run.place, run.setting), run))[:2] <= preference(run)[:2]
+    ]
     for run in finished:
         copy = folder / run.name
         if copy.exists() and _figures(copy) != _figures(run.folder):

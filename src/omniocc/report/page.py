@@ -77,7 +77,7 @@ def page(
         *drawn[1:],
         *_robustness(sweep),
         _frames(frames, sweep.runs, folder) if frames else None,
-        _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
+        _text_table("budget", "Budget", budget.note(sweep.rows), budget.budget_cells(sweep.rows)),
         {
             "kind": "runs",
             "name": "runs",

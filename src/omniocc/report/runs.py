@@ -12,14 +12,18 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from omniocc.errors import UserError
-from omniocc.io import parse_yaml, read_short_text
-from omniocc.run.folder import METRICS
+from omniocc.io import checked_name, parse_yaml, read_short_text
+from omniocc.run.folder import METRICS, command_of
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
 from omniocc.run.table import class_names
 
+GRID = "grid"
+"""Stands for the kind of grid of runs whose configuration was not saved."""
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 RAY_IOU = "test/rayiou"
+SETTING, UNKNOWN = ("preset", "steps", "data"), "unknown"
+"""Facts that must be equal for a comparison, by which the folder of a report is called, and what stands for none."""
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 
 
@@ -47,6 +51,11 @@ class FinishedRun(NamedTuple):
         return self.same_as or HASH.sub("", self.name)
 
     @property
+    def command(self) -> str | None:
+        """Return the command that made it, with the packages that it needs; None if it was not recorded."""
+        return command_of(self.facts, self.config)
+
+    @property
     def place(self) -> tuple[str, Any]:
         """Return row and seed; of several runs with the same, one is used."""
         return self.row, self.facts.get("seed")
@@ -54,7 +63,7 @@ class FinishedRun(NamedTuple):
     @property
     def setting(self) -> tuple[str, ...]:
         """Return preset, steps and data, which must be equal for a comparison."""
-        return tuple(str(self.facts.get(key, "unknown")) for key in ("preset", "steps", "data"))
+        return tuple(str(self.facts.get(key, UNKNOWN)) for key in SETTING)
 
 
 def read_runs(folder: Path) -> list[FinishedRun]:
@@ -78,6 +87,8 @@ def _read(folder: Path) -> FinishedRun:
     facts, metrics = load_results(folder)
     if RAY_IOU not in metrics:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
+    for key in SETTING:
+        checked_name(f"{folder / METRICS}: {key}", str(facts.get(key, UNKNOWN)))
     config = read_mapping(path) if (path := folder / "config.yaml").exists() else {}
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
@@ -111,8 +122,8 @@ def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[s
 
 
 def grid_kind(config: Mapping[str, Any]) -> str:
-    """Return the kind of grid of a run in a word; `grid` where its configuration was not saved."""
-    return config.get("model", {}).get("geometry", {}).get("_target_", "grid").rsplit(".", 1)[-1].lower()
+    """Return the kind of grid of a run in a word; `GRID` where its configuration was not saved."""
+    return config.get("model", {}).get("geometry", {}).get("_target_", GRID).rsplit(".", 1)[-1].lower()
 
 
 def grid_name(config: Mapping[str, Any]) -> str:

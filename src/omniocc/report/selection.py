@@ -1,17 +1,20 @@
 """Selection of the runs of a report: those of one setting, one for each row and seed."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 from omniocc.config import dotted
 from omniocc.errors import UserError
-from omniocc.report.runs import FinishedRun
-from omniocc.run.folder import METRICS, VOLATILE
-from omniocc.run.results import FINISHED, utc_text
+from omniocc.report.runs import GRID, FinishedRun, grid_kind
+from omniocc.run.folder import METRICS, VOLATILE, is_clean
+from omniocc.run.results import FINISHED, PROTOCOL, says_the_same, utc_text
+from omniocc.run.table import SCORES
 
 ABSENT = object()
+REASONS = ("runs of other names", "runs of changed code", "older runs")
+"""Runs that do not count beside another one, in the order in which `preference` decides."""
 Place = tuple[tuple[str, Any], tuple[str, ...]]
 """Row and seed, and setting, of a run."""
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
@@ -35,29 +38,92 @@ def settings_of(runs: Sequence[FinishedRun], preset: str | None) -> list[tuple[s
     return [setting for setting, _ in Counter(run.setting for run in candidates).most_common()]
 
 
-def comparable(runs: Sequence[FinishedRun], setting: tuple[str, ...]) -> tuple[list[FinishedRun], str]:
+def comparable(
+    runs: Sequence[FinishedRun], setting: tuple[str, ...], rows: Collection[str] = ()
+) -> tuple[list[FinishedRun], str]:
     """Return the runs of one preset, number of steps and dataset, and a remark on them and on what is left out.
 
-    Of several runs of a row with one seed the newest is taken.
+    Of several runs of a row with one seed that of `best_of` is taken. Runs whose scores were counted by another
+    protocol than those of most runs on the same grid are left out, so that no table compares them.
+
+    Args:
+        runs: finished runs.
+        setting: preset, steps and data.
+        rows: those of the tables.
     """
-    chosen, same = setting, [run for run in runs if run.setting == setting]
-    newest = newest_of(same)
-    kept = [run for run in same if newest[run.place, setting] is run]
+    of_setting = [run for run in runs if run.setting == setting]
+    otherwise = counted_otherwise(of_setting, of_setting, rows)
+    same = [run for run in of_setting if run.name not in otherwise]
+    best = best_of(same)
+    kept = [run for run in same if best[run.place, setting] is run]
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
-    name, steps, data = chosen
+    name, steps, data = setting
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
-    if others := sorted(run.name for run in runs if run.setting != chosen):
+    if others := sorted(run.name for run in runs if run.setting != setting):
         text += f" Of another preset, number of steps or dataset: {', '.join(others)}."
     if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
         text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
-    if older := sorted(_replaced(same, newest)):
-        text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
-    return kept, text
+    behind = sorted(_replaced(same, best))
+    for reason in REASONS:
+        if names := [run for why, run in behind if why == reason]:
+            text += f" Left out, {reason} of the same row and seed: {', '.join(names)}."
+    return kept, text + otherwise_text(of_setting, otherwise)
 
 
-def newest_of(runs: Sequence[FinishedRun]) -> dict[Place, FinishedRun]:
-    """Return the newest run of each row, seed and setting: the last that finished."""
-    return {(run.place, run.setting): run for run in sorted(runs, key=_finished)}
+def best_of(runs: Sequence[FinishedRun]) -> dict[Place, FinishedRun]:
+    """Return the run of each row, seed and setting that counts; see `preference`."""
+    return {(run.place, run.setting): run for run in sorted(runs, key=preference)}
+
+
+def preference(run: FinishedRun) -> tuple[bool, bool, tuple[str, str]]:
+    """Return what decides which of two runs of a row and seed counts, in this order; the higher one does.
+
+    Its own name is that of the row, its code is that of a commit, it has finished later.
+    """
+    return run.same_as is None, is_clean(run.facts.get("commit")), _finished(run)
+
+
+def protocol_of(runs: Sequence[FinishedRun], rows: Collection[str] = ()) -> Mapping[str, str]:
+    """Return how runs counted their scores, by kind: as most of those did that count first; empty if none tells.
+
+    First count runs of the `rows` of tables, then those that `preference` takes first.
+    """
+    told = [run for run in runs if run.facts.get(PROTOCOL)]
+    ranks = [(run.row in rows, *preference(run)[:2]) for run in told]
+    highest = max(ranks, default=())
+    first = [run for run, rank in zip(told, ranks, strict=True) if rank == highest]
+    ways = Counter(tuple(sorted(run.facts[PROTOCOL].items())) for run in sorted(first, key=preference, reverse=True))
+    return dict(ways.most_common(1)[0][0]) if ways else {}
+
+
+def counted_otherwise(
+    runs: Sequence[FinishedRun], others: Sequence[FinishedRun], rows: Collection[str] = ()
+) -> dict[str, list[str]]:
+    """Return the kinds of scores that runs counted by another protocol than `others` on the same grid, by run.
+
+    A run, or kind of score, of which no protocol is told differs from none. `rows` as in `protocol_of`.
+    """
+    kinds = {run.name: grid_kind(run.config) for run in (*runs, *others)}
+    told = {
+        kind: protocol_of([run for run in others if GRID in (kind, kinds[run.name]) or kinds[run.name] == kind], rows)
+        for kind in dict.fromkeys(kinds.values())
+    }
+    found = {}
+    for run in runs:
+        protocol = told[kinds[run.name]]
+        own = run.facts.get(PROTOCOL, {})
+        if differs := [kind for kind, text in own.items() if not says_the_same(protocol.get(kind, text), text)]:
+            found[run.name] = differs
+    return found
+
+
+def otherwise_text(runs: Sequence[FinishedRun], found: Mapping[str, Sequence[str]]) -> str:
+    """Return a sentence that names the runs that `counted_otherwise` found, and how they counted; empty without any."""
+    names = []
+    for run in sorted((run for run in runs if run.name in found), key=lambda run: run.name):
+        ways = [f"{SCORES.get(kind, kind)}: {run.facts[PROTOCOL][kind]}" for kind in found[run.name]]
+        names.append(f"{run.name} ({'; '.join(ways)})")
+    return f" Left out, since their scores are counted by another protocol: {', '.join(names)}." if names else ""
 
 
 def _finished(run: FinishedRun) -> tuple[str, str]:
@@ -67,12 +133,13 @@ def _finished(run: FinishedRun) -> tuple[str, str]:
     return run.facts.get(FINISHED) or utc_text(written), run.name
 
 
-def _replaced(runs: Sequence[FinishedRun], newest: Mapping[Place, FinishedRun]) -> Iterator[str]:
-    """Yield the names of runs that are not the newest of their place, and the keys in which they differ from it."""
+def _replaced(runs: Sequence[FinishedRun], best: Mapping[Place, FinishedRun]) -> Iterator[tuple[str, str]]:
+    """Yield why runs do not count in their place, with their names and the keys in which they differ from what does."""
     for run in runs:
-        if (newer := newest[run.place, run.setting]) is not run:
-            keys = differences([run, newer])
-            yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
+        if (other := best[run.place, run.setting]) is not run:
+            decides = [ours != theirs for ours, theirs in zip(preference(run), preference(other), strict=True)]
+            keys = differences([run, other])
+            yield REASONS[decides.index(True)], run.name + (f" (of another {keys} than {other.name})" if keys else "")
 
 
 def mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:

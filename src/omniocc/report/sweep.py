@@ -15,7 +15,14 @@ from omniocc.report.dataset.table import (
 )
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import HASH, FinishedRun, read_runs
-from omniocc.report.selection import by_row, comparable, mixtures, settings_of
+from omniocc.report.selection import (
+    by_row,
+    comparable,
+    counted_otherwise,
+    mixtures,
+    otherwise_text,
+    settings_of,
+)
 from omniocc.report.tables.claims import Judged, Name, judged
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import SeedStd, load_seed_stds
@@ -106,7 +113,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     of_datasets = [load_dataset_table(path) for path in paths if is_dataset_table(path)]
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
-        kept, remark = comparable(finished, setting)
+        kept, remark = comparable(finished, setting, first)
         rows, scenes = by_row(kept), scenes_of(kept[0])
         datasets = [with_ours(table, scenes) for table in of_datasets]
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
@@ -124,7 +131,8 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     def placed(sweep: Sweep, of_sweep: Sequence[PaperTable]) -> Sweep:
         setting = sweep.runs[0].setting
         of_steps = [table.of_steps(setting[1]) for table in of_sweep]
-        return sweep._replace(tables=of_steps, lengths=by_length(sweeps, setting))
+        lengths, left = by_length(sweeps, setting)
+        return sweep._replace(tables=of_steps, lengths=lengths, remark=sweep.remark + left)
 
     return [
         placed(sweep, once if number else found)._replace(
@@ -140,15 +148,18 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
 
 def _is_longer(other: Sweep, sweep: Sweep) -> bool:
     (preset, steps, data), (other_preset, other_steps, other_data) = sweep.runs[0].setting, other.runs[0].setting
-    return (preset, data) == (other_preset, other_data) and _number(other_steps) > _number(steps)
+    longer = (preset, data) == (other_preset, other_data) and _number(other_steps) > _number(steps)
+    return longer and not counted_otherwise(other.runs, sweep.runs)
 
 
 def _number(steps: str) -> int:
     return int(steps) if steps.isdigit() else 0
 
 
-def by_length(sweeps: Sequence[Sweep], setting: tuple[str, ...]) -> dict[str, Sequence[FinishedRun]]:
+def by_length(sweeps: Sequence[Sweep], setting: tuple[str, ...]) -> tuple[dict[str, Sequence[FinishedRun]], str]:
     """Return the runs of a setting's preset by `row@steps`; of two datasets, those of the one with more runs.
+
+    Also returns a sentence on those that are left out, since they counted their scores by another protocol.
 
     Args:
         sweeps: of all settings, that with most runs first.
@@ -158,12 +169,16 @@ def by_length(sweeps: Sequence[Sweep], setting: tuple[str, ...]) -> dict[str, Se
     preset, _, data = setting
     alike = [sweep for sweep in sweeps if sweep.runs[0].setting[0] == preset]
     if alike[0].runs[0].setting[2] != data:
-        return {}
+        return {}, ""
+    own = next(sweep.runs for sweep in alike if sweep.runs[0].setting == setting)
+    every = [run for sweep in alike for run in sweep.runs]
+    otherwise = counted_otherwise(every, own)
     found: dict[str, Sequence[FinishedRun]] = {}
     for sweep in alike:
         for row, runs in sweep.rows.items():
-            found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
-    return found
+            if not any(run.name in otherwise for run in runs):
+                found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
+    return found, otherwise_text(every, otherwise)
 
 
 def with_training(tests: Sequence[Robustness], runs: Sequence[FinishedRun]) -> list[Robustness]:

@@ -13,10 +13,10 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from omniocc.config import own_code
+from omniocc.config import PACKAGES, PACKAGES_VARIABLE, foreign_packages, own_code
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, checked_name
 from omniocc.run.checkpoint_io import LAST, no_checkpoint, resumable
 from omniocc.run.distributed import from_first, is_first, started_by_others
 from omniocc.run.slots import sketch_learns
@@ -29,6 +29,10 @@ IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
 """Root keys that do not change what a run computes."""
+DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
+"""Environment variables by which the same command composes another configuration."""
+CHANGED, NO_COMMIT = "+", "unknown"
+"""End of the commit of a source tree with changes, and what stands for a commit outside a repository."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable with the folder, set by the first process of a distributed run for its children."""
 
@@ -95,8 +99,8 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
             checkpoint to start from. A run that was started so and stopped goes on from what it has saved since.
 
     Raises:
-        UserError: when another process works in the folder, its checkpoints are damaged, or the processes of this run
-            cannot agree on a new folder.
+        UserError: when no folder can have the name, another process works in it, its checkpoints are damaged, or the
+            processes of this run cannot agree on a new folder.
         FileNotFoundError: when there is no such checkpoint.
     """
     if resume == "never" and started_by_others():
@@ -104,7 +108,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
             "resume=never: the processes that torchrun or Slurm starts cannot agree on a new folder; give this run "
             "another name=... instead"
         )
-    path, lock = runs / f"{name}-{digest}", None
+    path, lock = runs / f"{checked_name('name', name)}-{digest}", None
     if is_first():
         path, lock = _claim(path, fresh=resume == "never")
         os.environ[RANK_FOLDER] = str(path)
@@ -160,12 +164,28 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
 
 
 def command_line() -> str:
-    """Return the command that started this process, with paths relative to the working folder."""
+    """Return the command that started this process, with paths relative to the working folder.
+
+    Environment variables that decide what it composes stand before it.
+    """
     script, *arguments = sys.argv
     path = Path(script)
     if path.is_absolute() and path.is_relative_to(Path.cwd()):
         script = str(path.relative_to(Path.cwd()))
-    return shlex.join(["python", script, *arguments])
+    return " ".join([*_assigned(os.environ), shlex.join(["python", script, *arguments])])
+
+
+def command_of(facts: Mapping[str, Any], config: Mapping[str, Any]) -> str | None:
+    """Return the recorded command of a run with the packages that it needs; None if it was not recorded."""
+    command = facts.get("command")
+    given = [*PACKAGES, *(config.get("packages") or ())]
+    if command is None or f"{PACKAGES_VARIABLE}=" in str(command) or not (own := foreign_packages(config, given)):
+        return command
+    return " ".join([*_assigned({PACKAGES_VARIABLE: ",".join(own)}), str(command)])
+
+
+def _assigned(environment: Mapping[str, str]) -> list[str]:
+    return [f"{name}={shlex.quote(environment[name])}" for name in DECIDING if environment.get(name)]
 
 
 def git_commit() -> str:
@@ -173,8 +193,13 @@ def git_commit() -> str:
     here = Path(__file__).parent
     try:
         show = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+"], cwd=here, capture_output=True, text=True, check=True
+            ["git", "describe", "--always", f"--dirty={CHANGED}"], cwd=here, capture_output=True, text=True, check=True
         )
     except (OSError, subprocess.CalledProcessError):
-        return "unknown"
+        return NO_COMMIT
     return show.stdout.strip()
+
+
+def is_clean(commit: str | None) -> bool:
+    """Return whether the code of a run is that of a commit: known, and without changes."""
+    return commit not in (None, NO_COMMIT) and not str(commit).endswith(CHANGED)

@@ -31,6 +31,11 @@ OVERRIDES = "overrides"
 """Fact of later tests: what they change in the configuration of the checkpoint."""
 
 
+def says_the_same(one: str, other: str) -> bool:
+    """Return whether two lines of a protocol tell of one way to count: equal, or one only says more at its end."""
+    return one == other or one.startswith(f"{other}; ") or other.startswith(f"{one}; ")
+
+
 def utc_text(time: float) -> str:
     """Return seconds since 1970 as a date and time in UTC, such as `2026-11-25T16:30:00Z`."""
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

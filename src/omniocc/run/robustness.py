@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write, parse_json
+from omniocc.io import atomic_write, checked_name, parse_json
 
 UNDISTURBED = "undisturbed"
 """Name of the part, and of its group, to which all others are compared."""
@@ -162,7 +162,8 @@ def load_robustness(path: Path) -> Robustness:
     """
     try:
         content = parse_json(path.read_text())
-        return Robustness(content["system"], content["facts"], [_part(part) for part in content["parts"]])
+        system = checked_name("system", content["system"])
+        return Robustness(system, content["facts"], [_part(part) for part in content["parts"]])
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise UserError(
             f"{path} is damaged ({first_line(error)}); the command that made it writes it again from its parts"
@@ -193,6 +194,8 @@ def _part(content: dict[str, Any]) -> PartScores:
     scores = {key: _float(value) for key, value in content["scores"].items()}
     without = {key: [_float(value) for value in values] for key, values in content["without"].items()}
     kept = {name: content[name] for name in ("part", "group", "scenes", "frames", "seconds")}
+    for name in ("part", "group"):
+        checked_name(name, kept[name])
     return PartScores(**kept, scores=scores, without=without)
 
 

@@ -78,7 +78,8 @@ def number(value: float | None) -> str:
 
 
 def markdown(head: list[str], rows: list[list[str]]) -> str:
-    """Return a Markdown table; the first column is text, the others are figures."""
+    """Return a Markdown table; the first column is text, the others are figures. A cell stays one cell and one line."""
+    head, *rows = [[" ".join(cell.replace("|", r"\|").splitlines()) for cell in line] for line in (head, *rows)]
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 

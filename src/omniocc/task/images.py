@@ -33,9 +33,9 @@ class FrameImages(Callback, ABC):
     """Draw `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
     Of several processes the first draws, which sees its part of the frames.
-    Sheets go to `folder` (`test-00-<scene>-<frame>.png`), parts of test frames' sheets, which
-    the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the sheets (`val/<key>`, `test/<key>`)
-    and for test frames also `media` (`test/<key of the medium>`).
+    Sheets go to `folder` (`test-00-<scene>-<frame>.png`, and `val-step000999.png` with the step of the curves), parts
+    of test frames' sheets, which the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the
+    sheets (`val/<key>`, `test/<key>`) and for test frames also `media` (`test/<key of the medium>`).
 
     Args:
         count: number of test frames; 0 draws nothing.
@@ -67,9 +67,10 @@ class FrameImages(Callback, ABC):
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
             sheet = self.draw(pl_module, outputs[0].cpu(), batch, 0).sheet
-            self._save(f"val-step{trainer.global_step:06d}", sheet)
+            step = logged_step(trainer)
+            self._save(f"val-step{step:06d}", sheet)
             for curves in wandb_of(trainer.loggers):
-                curves.log_media({f"val/{self.key}": [Named(sheet, batch.frame_ids[0])]}, trainer.global_step)
+                curves.log_media({f"val/{self.key}": [Named(sheet, batch.frame_ids[0])]}, step)
 
     def on_test_batch_end(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int, *_: Any
@@ -156,6 +157,14 @@ class SketchImages(FrameImages):
             batch.frame_ids[sample],
         )
         return Drawn(sheet)
+
+
+def logged_step(trainer: Trainer) -> int:
+    """Return the step under which the curves have the scores of a validation in progress, so that its image has it too.
+
+    Lightning counts from 0: after 1,000 steps of training it is 999. It is 1,000 once training has ended.
+    """
+    return trainer.fit_loop.epoch_loop._batches_that_stepped
 
 
 def newest_images(batch: Batch, sample: int) -> np.ndarray:

@@ -77,7 +77,7 @@ class Shown:
         classes: of voxels, pixels and LiDAR hits.
         models: names of the models, unique; empty where only scenes are shown.
         grids: of the predictions and of the truth; the first model's first.
-        road_z_m: height of the road in the ego frame, m.
+        road_z_m: height of the road in the ego frame, m, where the rig of a frame states none; None: not known.
         frame_interval_s: time between frames, s.
         directions: unit rays of RayIoU, ego frame, which start in the ego origin.
         source: where the frames come from, in words.
@@ -89,7 +89,7 @@ class Shown:
     classes: ClassTable
     models: tuple[str, ...]
     grids: tuple[Grid, ...]
-    road_z_m: float
+    road_z_m: float | None
     frame_interval_s: float
     directions: Float64[Tensor, "R 3"]
     source: str

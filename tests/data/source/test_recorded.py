@@ -173,6 +173,9 @@ def test_masks_of_a_rig_file_replace_the_recorded_ones(root, tmp_path):
     assert Recorded(str(root), PATTERNS, panorama=(32, 16, 30.0, -30.0)).fingerprint != plain.fingerprint
     for one in pickle.loads(pickle.dumps(masked.scenes("test")[0])).rigs:  # loader processes get copies
         assert all(torch.equal(mask, pixels) for mask in one.masks)
+    replace(rig, masks=(pixels,) * len(rig.cameras), road_z_m=-2.2).save(tmp_path / "exported.yaml")
+    exported = Recorded(str(root), PATTERNS, masks=str(tmp_path / "exported.yaml")).scenes("train")[0].rig
+    assert exported == masked.scenes("train")[0].rig  # the road is that of the recording
     Rig.load("pinhole6").save(tmp_path / "other.yaml")
     other = Recorded(str(root), PATTERNS, masks=str(tmp_path / "other.yaml"))
     with pytest.raises(DataError, match="its cameras are not those of the rig with masks"):

@@ -18,6 +18,7 @@ from omniocc.camera import Rig
 from omniocc.code import code_fingerprint
 from omniocc.data import VirtualWorld
 from omniocc.data.recording.pool import worker_environment
+from omniocc.data.source.recorded import spec_of
 from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
@@ -359,6 +360,24 @@ def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
         world.prepare()
 
 
+def test_the_road_of_a_drawn_rig_lies_where_the_rig_says(tmp_path):
+    """The car heaves by a tenth of a metre on its springs; heights of these rigs differ by more than .8 m."""
+    world = VirtualWorld(
+        str(tmp_path), "random", (48, 27), ["suburb", "arterial"], 6, 0, 0, 1, 0.5, 1, (16, 4), 45.0, -45.0, lidars=1
+    )
+    heights_m = [world.rig_of(plan).road_z_m for plan in world.plans]
+    plans = [world.plans[heights_m.index(height_m)] for height_m in (min(heights_m), max(heights_m))]
+    world.prepare(plans)
+    for plan in plans:
+        reader = world.reader(plan)
+        points = reader.points(0)
+        near = np.hypot(*points.points_m[:, :2].T) < 6
+        road_m = points.points_m[near & (points.labels == world.spec.classes.names.index("Road")), 2]
+        assert len(road_m) > 20
+        assert np.median(road_m) == pytest.approx(world.spec.road_of(reader.rig), abs=0.3)
+    assert max(heights_m) - min(heights_m) > 0.8
+
+
 def test_drawn_rigs_are_recorded_with_errors_and_share_weathers_evenly(tmp_path):
     arguments = {"root": str(tmp_path), "rig": "random", "image_size": (48, 27), "themes": [*THEMES, "solids"]}
     numbers = {"train_scenes": 90, "val_scenes": 9, "test_scenes": 0, "frames_per_scene": 1, "frame_interval_s": 0.5}
@@ -377,4 +396,8 @@ def test_drawn_rigs_are_recorded_with_errors_and_share_weathers_evenly(tmp_path)
     reader = world.reader(plans[0])
     assert reader.rig == recorded
     assert len(reader.images(0)) == len(true.cameras)
+    assert world.spec.road_z_m is spec_of(reader).road_z_m is None
+    assert spec_of(reader).road_of(reader.rig) == true.road_z_m
+    reader.meta["facts"]["spec"]["road_z_m"] = -2.2  # as scenes said that were rendered before
+    assert spec_of(reader).road_z_m is None
     assert world.name != VirtualWorld(**arguments, **numbers, **panorama, weather="in_turn", lidars=1).name

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from omniocc.report.plots.figures import PLOTS, by_candidates, by_class, by_range, ranking, training
+from omniocc.report.plots.figures import PLOTS, by_candidates, by_class, by_range, ranking, training, without_math
 from omniocc.report.plots.svg import as_svg
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import by_row
@@ -43,6 +43,11 @@ def test_ranking_is_by_mean_with_a_dot_for_each_seed(rows):
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([0.1, 0.2, 0.32])
     dots = [line.get_xdata() for line in axes.lines if line.get_marker() == "o"]
     assert sorted(map(len, dots)) == [1, 1, 2]
+
+
+def test_names_are_no_formulas(rows):
+    figure = ranking(without_math({"a $_$ b$": rows["dense"]}))
+    assert "a $_$ b$" in as_svg(figure, "ranking", "Every row")
 
 
 def test_fractions_of_candidates_and_curves(rows):

@@ -1,7 +1,7 @@
 """What rows were given and what they cost."""
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.budget import budget_cells
+from omniocc.report.tables.budget import budget_cells, note
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 
 BEFORE = {"depth": 800, "sketch": 500}
@@ -25,6 +25,15 @@ def test_a_row_with_a_learned_sketch_has_two_stages_before():
         ["dense", "1.15", "16.7", "–", "–", "1000", "1000", "2", "18.8", "18.8", "1500"],
     ]
     assert len(head) == len(lines[0])
+
+
+def test_the_note_names_the_machines_of_the_runs():
+    one, other = "AMD EPYC, 2 cores, torch 2.13.0+cpu", "NVIDIA H200, Xeon, 16 cores, torch 2.11.0+cu130"
+    rows = {"ours": [run(0, {}, machine=one), run(1, {}, machine=one)._replace(name="row-b")]}
+    assert note(rows).endswith(f"over seeds. Machines: {one} (2 runs).")
+    rows["dense"] = [run(2, {}, machine=other), run(3, {})]
+    machines = f"Machines: {one} (2 runs); {other} (1 run); not recorded (1 run). Compare operations"
+    assert machines in note(rows)
 
 
 def test_what_a_run_did_not_record_is_a_dash():

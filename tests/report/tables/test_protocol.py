@@ -1,7 +1,12 @@
 """Lines below the tables of a report that say how scores were counted."""
 
+from pathlib import Path
+
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.protocol import protocol_lines, protocol_text
+from omniocc.report.tables.claims import judged
+from omniocc.report.tables.paper import load_table
+from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_text
+from omniocc.report.tables.verdicts import verdicts_parts
 
 RAYS = {"rayiou": "rays from the ego origin", "voxel": "cells"}
 OTHER = {"rayiou": "rays from eight origins", "voxel": "cells"}
@@ -43,6 +48,30 @@ def test_a_line_that_says_more_at_its_end_holds_for_both():
         f"RayIoU, LiDAR (all rows but other): {now}.",
         "RayIoU, LiDAR (other): rays; mean over classes and more.",
     ]
+
+
+def test_scores_counted_in_two_ways_are_not_compared():
+    first, second, old = runs(RAYS), runs(OTHER), runs(None)
+    assert counted_alike([*first, *old], "test/rayiou")
+    assert not counted_alike([*first, *second, *old], "test/rayiou_0-8.5m")
+    assert counted_alike([*first, *second], "test/voxel/miou")
+    longer = runs({kind: f"{text}; lost rays are free" for kind, text in RAYS.items()})
+    assert counted_alike([*first, *longer], "test/rayiou")
+
+
+def test_claims_about_rows_counted_in_two_ways_are_not_decided():
+    table = load_table(Path(__file__).parents[3] / "sweeps" / "sketch.yaml")
+    rows = {
+        row: [FinishedRun(f"{row}-0000000{k}", {"seed": k, "protocol": RAYS}, {"test/rayiou": k / 10}) for k in (1, 2)]
+        for row in ("ours", "dense", "random")
+    }
+    rows["random"] = [run._replace(facts=run.facts | {"protocol": OTHER}) for run in rows["random"]]
+    part, *_ = verdicts_parts([table], rows, judged([table], rows))
+    found = {line[0].removeprefix("omni depth ahead of "): line[5] for line in part.cells[1]}
+    assert found == {
+        "dense voxels": "undecided", "random voxels": "not compared: other protocols",
+        "omni depth w/o dilation": "not run", "mono depth": "not run",
+    }  # fmt: skip
 
 
 def test_records_of_before_have_no_line():

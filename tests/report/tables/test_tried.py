@@ -5,7 +5,7 @@ import pytest
 from omniocc.config import compose_plain
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.tried import changes, tried_cells
+from omniocc.report.tables.tried import changes, tried_cells, tried_chapter
 
 
 def run(name, seed, rayiou, config, data="d", **facts):
@@ -89,3 +89,16 @@ def test_a_setting_that_the_reference_did_not_know_yet_is_no_change(ours):
 def test_a_missing_reference_is_named(more):
     with pytest.raises(UserError, match="no finished run of row ours"):
         tried_cells([run("more", 0, 0.4, more)], "ours")
+
+
+def test_columns_are_the_bands_of_the_runs_and_another_protocol_is_left_out(ours, more):
+    rays, other = {"protocol": {"rayiou": "one origin"}}, {"protocol": {"rayiou": "eight origins"}}
+    figures = {"val/rayiou": 0.2, "test/rayiou_20-40m": 0.1, "test/rayiou_0-20m": 0.3, "val/rayiou_0-20m": 0.25}
+    base = run("ours", 0, 0.2, ours, **rays)._replace(metrics=figures)
+    text = tried_chapter([base, run("more", 0, 0.4, more, **other)], "ours")
+    assert "| RayIoU | 0-20 m | 20-40 m | LiDAR | IoU | mIoU |" in text
+    assert "| ours | the reference | 8/5/10 | 1 | 2 | 0.200 | 0.250 | – | – | – | – |" in text
+    assert "| more |" not in text
+    assert (
+        "Left out, since their scores are counted by another protocol: more-01234560 (RayIoU: eight origins)." in text
+    )

@@ -18,6 +18,7 @@ from made_page import CUBOID, CYLINDER, EVIL, RUNS, made_frames, made_shown, rig
 from omniocc.errors import UserError
 from omniocc.viewer.page import PAGE, page_path, write_page
 from omniocc.viewer.page.lens import direction_table
+from omniocc.viewer.page.pack import Packed
 
 
 class Scripts(HTMLParser):
@@ -129,6 +130,16 @@ def test_large_images_are_scaled(tmp_path):
     first = json.loads(parser.scripts["facts"])["frames"][0]["images"][0]
     decoded = cv2.imdecode(np.frombuffer(block(parser, first["block"]), np.uint8), cv2.IMREAD_COLOR)
     assert decoded.shape == (576, 1024, 3)
+
+
+def test_every_frame_has_the_road_of_its_rig():
+    low, other = replace(rig(), road_z_m=-0.7), replace(next(made_frames(RUNS)), images=())
+    for stated, expected in ((-2.2, (-0.7, -2.2)), (-1.5, (-0.7, -1.5)), (None, (-0.7, -2.2))):
+        packed = Packed(replace(made_shown(), road_z_m=stated), 32)
+        packed.add(replace(other, rig=low))
+        packed.add(other)
+        assert tuple(frame["road_z_m"] for frame in packed.facts["frames"]) == expected
+    assert packed.facts["car"]["road_z_m"] == -2.2
 
 
 def test_unknown_predictions_and_missing_truth_are_left_out(tmp_path):

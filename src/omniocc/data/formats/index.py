@@ -14,7 +14,7 @@ from filelock import FileLock
 
 from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import DataError
-from omniocc.io import atomic_write, cannot_write
+from omniocc.io import atomic_write, cannot_write, checked_name
 
 NAMES = "scenes.json"
 
@@ -44,6 +44,7 @@ class Index(Generic[Arrays]):
 
         Raises:
             DataError: from `build`, or when the disk refuses.
+            UserError: when no file can have the name of a scene.
         """
         if (self.folder / NAMES).exists():
             return
@@ -80,6 +81,8 @@ class Index(Generic[Arrays]):
         found = self.build()
         if not found:
             raise DataError(f"{self.folder}: the dataset has no scenes")
+        for name in found:
+            checked_name(f"{self.folder}: the name of a scene", name)
         partial = self.folder.with_suffix(".partial")
         shutil.rmtree(partial, ignore_errors=True)
         listed = []

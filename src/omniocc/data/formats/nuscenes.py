@@ -13,7 +13,7 @@ import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
 from omniocc.errors import DataError, first_line
-from omniocc.io import object_of_pairs, twice
+from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
@@ -146,6 +146,7 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
 
     Raises:
         DataError: naming the table and the record that is missing or wrong.
+        UserError: when no file of a submission can be called by the token of a sample.
     """
     names = ("sample", "calibrated_sensor", "sample_data", "ego_pose")
     files = [tables / f"{name}.json" for name in names]
@@ -157,7 +158,13 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
             raise DataError(f"{path}: there are two records of scene '{name}'; keep one")
         path = tables / "sample.json"
         rows = (r for r in records(path, progress) if r["scene_token"] in scenes)
-        samples = once(path, ((r["token"], (scenes[r["scene_token"]], int(r["timestamp"]))) for r in rows))
+        samples = once(
+            path,
+            (
+                (checked_name(f"{path}: token", r["token"]), (scenes[r["scene_token"]], int(r["timestamp"])))
+                for r in rows
+            ),
+        )
         path = tables / "sensor.json"
         channels = once(path, ((r["token"], r["channel"]) for r in records(path)))
         path = tables / "calibrated_sensor.json"

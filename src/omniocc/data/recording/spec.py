@@ -10,7 +10,7 @@ from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.geometry.directions import sparseocc_directions
 
 
-def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float) -> SourceSpec:
+def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float | None) -> SourceSpec:
     """Return the spec of scenes in our format: the bands of ranges of the paper, and the LiDAR rays of SparseOcc."""
     return SourceSpec(classes, PAPER_RANGE_EDGES_M, frame_interval_s, road_z_m, sparseocc_directions())
 

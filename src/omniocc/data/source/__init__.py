@@ -55,7 +55,7 @@ class SourceSpec:
         range_edges_m: ends of the distance bands in which scores are given. LiDAR hits at the last of them or beyond
             count as free for every grid.
         frame_interval_s: time between recorded frames, s.
-        road_z_m: height of the road in the ego frame, m.
+        road_z_m: height of the road in the ego frame, m; None: it differs from scene to scene, see `road_of`.
         lidar_directions: unit rays of the LiDAR, which starts in the ego origin. None: every frame has its own rays,
             or there is no LiDAR.
         benchmark: the dataset's own protocol. None: scores are computed on the grid of the model.
@@ -64,7 +64,7 @@ class SourceSpec:
     classes: ClassTable
     range_edges_m: tuple[float, ...]
     frame_interval_s: float
-    road_z_m: float
+    road_z_m: float | None
     lidar_directions: Float64[Tensor, "R 3"] | None
     benchmark: Benchmark | None = None
 
@@ -78,6 +78,10 @@ class SourceSpec:
     def reach_m(self) -> float:
         """Return the horizontal distance beyond which LiDAR hits count as free, m."""
         return self.range_edges_m[-1]
+
+    def road_of(self, rig: Rig) -> float | None:
+        """Return the height of the road in the ego frame of a scene with these cameras, m; None if it is not known."""
+        return self.road_z_m if rig.road_z_m is None else rig.road_z_m
 
     def scored_grid(self, geometry: Grid) -> Grid:
         """Return the grid on which the predictions of a model with another one are scored."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
+from omniocc.camera.drawn import RANDOM
 from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.recording.spec import panorama_of, plain_spec, read_spec
@@ -138,9 +139,15 @@ class Recorded:
 
 
 def spec_of(scene: SceneFolder) -> SourceSpec:
-    """Return the facts about its source recorded with a scene; raise DataError when they are missing or wrong."""
+    """Return the facts about its source recorded with a scene; raise DataError when they are missing or wrong.
+
+    Scenes of drawn rigs have no common height of the road, though older ones state one.
+    """
     try:
-        return read_spec(scene.meta["facts"]["spec"])
+        facts = scene.meta["facts"]
+        recipe = facts.get("recipe")
+        drawn = isinstance(recipe, dict) and recipe["rig"].startswith(RANDOM)
+        return read_spec(facts["spec"] | ({"road_z_m": None} if drawn else {}))
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
 

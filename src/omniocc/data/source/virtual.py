@@ -179,8 +179,8 @@ class VirtualWorld:
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the classes, bands and rays of the virtual world, and the height of the road that the rig states."""
-        return world_spec(self.frame_interval_s, EGO_ROAD_M if self.rig is None else road_of(self.rig))
+        """Return the classes, bands and rays of the virtual world, and the road's height, None for drawn rigs."""
+        return world_spec(self.frame_interval_s, None if self.rig is None else road_of(self.rig))
 
     @property
     def name(self) -> str:
@@ -320,7 +320,7 @@ def _world_folder() -> Path:
 
 
 @cache
-def world_spec(frame_interval_s: float, road_z_m: float = EGO_ROAD_M) -> SourceSpec:
+def world_spec(frame_interval_s: float, road_z_m: float | None = EGO_ROAD_M) -> SourceSpec:
     """Return the facts about scenes of the virtual world at this interval, s, and height of the road, m, ego frame."""
     return recorded_spec(WORLD_CLASSES, frame_interval_s, road_z_m)
 

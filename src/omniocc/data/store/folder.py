@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int32, Int64, UInt32
 from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
-from omniocc.io import parse_json
+from omniocc.io import checked_name, parse_json
 
 LEAST_FRAME_BYTES = 50
 """Smallest size of a frame's lines in an index."""
@@ -71,7 +71,8 @@ def check_meta(meta: Mapping[str, Any]) -> None:
         raise ValueError("it has no 'files' or no 'facts'")
     for name, facts in files.items():
         known = isinstance(facts, dict) and isinstance(facts.get("size"), int) and isinstance(facts.get("sha256"), str)
-        if not known or "/" in name:
+        checked_name("the name of a file", name)
+        if not known:
             raise ValueError(f"'files' has an impossible entry '{name}': {str(facts)[:80]}")
     listed = min(files.get(INDEX, {"size": 0})["size"], LIMIT_BYTES)
     if not isinstance(frames, int) or isinstance(frames, bool) or not 0 <= frames <= listed // LEAST_FRAME_BYTES:

@@ -85,12 +85,12 @@ class SceneReader(SceneFolder):
         """
         if self.masked is None:
             return self._recorded_rig
-        if replace(self.masked, masks=None) != replace(self._recorded_rig, masks=None):
+        if replace(self.masked, masks=None, road_z_m=None) != replace(self._recorded_rig, masks=None, road_z_m=None):
             raise DataError(
                 f"{self.folder}: its cameras are not those of the rig with masks; make masks of the rig as it was "
                 f"recorded: python src/mask.py rig={self.folder}/rig.yaml output=masked.yaml"
             )
-        return self.masked
+        return replace(self._recorded_rig, masks=self.masked.masks)
 
     @cached_property
     def _recorded_rig(self) -> Rig:

@@ -24,6 +24,7 @@ from omniocc.data.source import SPLITS, Split
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
+from omniocc.io import checked_name
 from omniocc.progress import Progress
 from omniocc.record.carla.check import Finding, check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
@@ -105,6 +106,8 @@ class CarlaRecorder:
             raise ValueError(f"interval_s is {interval_s}; it must be above 0, and CARLA's physics allows at most .1 s")
         if not maps:
             raise ValueError("maps must name one town or more, such as [Town01,Town02]")
+        for town in maps:  # files of its scenes are called by it
+            checked_name("maps: a town", town)
         if not splits or not set(splits) <= set(SPLITS):
             raise ValueError(f"splits must be of {', '.join(SPLITS)}, got {list(splits)}")
         self.python = [sys.executable] if python is None else shlex.split(python)

@@ -43,6 +43,11 @@ STYLE: dict[Any, Any] = {
 WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
+def without_math(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rows with names in which matplotlib takes no `$` for the beginning of a formula."""
+    return {row.replace("$", r"\$"): value for row, value in rows.items()}
+
+
 def colors_of(rows: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
     """Return a colour for each row; the first ten are easy to distinguish."""
     palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]

@@ -1,9 +1,11 @@
 """Training budget and cost of each row, so that equal budgets can be checked."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
 from omniocc.run.table import Cells
 
@@ -15,9 +17,19 @@ NOTE = (
     "occupied (the sketch); both are trained before the main network, which gives every voxel its class. Parameters "
     "and operations are the sum over all networks of the model. 'minutes' and 'peak MiB' are of training the main "
     "network alone; the 'in all' beside 'minutes' adds the training of depth and sketch, also where several models "
-    "use the same trained ones. Minutes are means over seeds. Runs were made on several machines, few of them with a "
-    "GPU, and beside other programs, so compare operations rather than minutes or MiB."
+    "use the same trained ones. Minutes are means over seeds."
 )
+OF_MANY = " Compare operations rather than minutes or MiB, which depend on the machine."
+
+
+def note(rows: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return what the columns are, and on which machines the runs were made."""
+    once = {run.name: run for runs in rows.values() for run in runs}.values()
+    machines = Counter(str(run.facts.get(MACHINE, "not recorded")) for run in once)
+    counts = "; ".join(
+        f"{name} ({count} runs)" if count > 1 else f"{name} (1 run)" for name, count in machines.most_common()
+    )
+    return f"{NOTE} Machines: {counts}.{OF_MANY * (len(machines) > 1)}"
 
 
 def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> Cells:

@@ -10,6 +10,7 @@ from omniocc.report.runs import RAY_IOU, FinishedRun
 from omniocc.report.tables.gaps import EXACT, UNKNOWN, Gap, Gaps, gap_of_systems, paired_gap
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
+from omniocc.report.tables.protocol import counted_alike
 from omniocc.report.tables.streets import error_over_streets
 from omniocc.run.table import Cells
 
@@ -156,9 +157,14 @@ def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str, paired: bool
 
 
 def name_of(better: PaperRow, other: PaperRow, rows: Rows, key: str | None) -> Name | None:
-    """Return the name of the claim about two rows in a metric; None without a metric, or a figure of one of them."""
+    """Return the name of the claim about two rows in a metric.
+
+    It is None without a metric, or a figure of one of them, and where they counted it by different protocols.
+    """
     runs = rows.get(better.run, ()), rows.get(other.run, ())
     if key is None or figure_of(runs[0], key) is None or figure_of(runs[1], key) is None:
+        return None
+    if not counted_alike((*runs[0], *runs[1]), key):
         return None
     return tuple(run.name for run in runs[0]), tuple(run.name for run in runs[1]), key
 

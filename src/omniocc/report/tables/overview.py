@@ -36,6 +36,6 @@ def records(runs: Sequence[FinishedRun]) -> Cells:
     """Return head and rows of how the runs were made, by name: seed, steps, minutes, commit, machine, command."""
     rows = []
     for run in sorted(runs, key=lambda run: run.name):
-        command = f"`{run.facts['command']}`" if "command" in run.facts else "–"
+        command = "–" if run.command is None else f"`{run.command}`"
         rows.append([run.name, *(str(run.facts.get(key, "–")) for key in RECORDS), command])
     return ["run", "seed", "steps", "minutes", "of earlier stages", "commit", MACHINE, "command"], rows

@@ -48,6 +48,7 @@ class PaperTable(NamedTuple):
         rows: methods in the paper's order.
         title: of the table on the page of the report.
         note: inconsistencies of the paper's figures.
+        here: what holds of the runs of the documentation only; pages of the documentation have it behind the note.
         number: the table's number in the paper.
         compares: `parts` of one system, whose rows share depth and sketch of a seed; `grids`, whose rows share the
             depth alone and are compared as systems; or `systems`.
@@ -63,6 +64,7 @@ class PaperTable(NamedTuple):
     order_by: str
     rows: Sequence[PaperRow]
     note: str = ""
+    here: str = ""
     number: int = 0
     compares: str = "parts"
     claims: Sequence[tuple[str, str]] = ()
@@ -129,11 +131,21 @@ def load_table(path: Path) -> PaperTable:
             PaperRow(run, row["title"], _by_column(columns, row, run), row.get("alone", False))
             for run, row in content["rows"].items()
         ]
-        note, number_in_paper = content.get("note", ""), content.get("number", 0)
+        note, here, number_in_paper = content.get("note", ""), content.get("here", ""), content.get("number", 0)
         compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
         of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
         table = PaperTable(
-            path.stem, content["title"], columns, order_by, rows, note, number_in_paper, compares, claims, of_lengths
+            path.stem,
+            content["title"],
+            columns,
+            order_by,
+            rows,
+            note,
+            here,
+            number_in_paper,
+            compares,
+            claims,
+            of_lengths,
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
-from omniocc.run.results import PROTOCOL
+from omniocc.run.results import PROTOCOL, says_the_same
 from omniocc.run.table import SCORES, score_of
 
 
@@ -38,6 +38,13 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
 def _fullest(text: str | None, known: Iterable[str]) -> str | None:
     """Return the longest of the texts that begin with this one and say more after it; itself if none does."""
     return max((more for more in known if more.startswith(f"{text}; ")), key=len, default=text)
+
+
+def counted_alike(runs: Iterable[FinishedRun], key: str) -> bool:
+    """Return whether all runs that tell how they counted the score of a key did so in one way."""
+    kind = score_of(key)
+    told = {text for run in runs if (text := run.facts.get(PROTOCOL, {}).get(kind)) is not None}
+    return all(says_the_same(*pair) for pair in itertools.combinations(told, 2))
 
 
 def _named(members: Sequence[str], rows: Iterable[str]) -> str:

@@ -27,18 +27,13 @@ from omniocc.run.curves import read_curve
 from omniocc.run.table import Cells, number
 
 TITLE = "The same rows and claims after more steps"
-NOTE = (
-    "Rows that have run with several numbers of steps of the last stage. Depth and sketch are trained by the same "
-    "recipe, for some rows again on another machine ([protocol](protocol.md#changes)), so that rows can have other "
-    "networks in the same seed. Learning rates are those chosen at the fewest steps. Other tables of the rows with "
-    "more steps are on pages named `steps_<number>.md`."
-)
+NOTE = "Rows that have run with several numbers of steps of the last stage."
 CHANGES = (
     "Claims whose two rows have both run with several numbers of steps. Each number of steps is a family of its own "
     "for Holm's correction. A verdict can also differ because one number of steps has more seeds. Therefore the "
     "change of the gap, from the fewest to the most steps, is tested itself: as if the runs of both had no noise in "
-    "common, with Holm's correction over as many claims as a family has. All scores rise with training, and gaps with "
-    "them: a change is not yet one in proportion."
+    "common, with Holm's correction over as many claims as a family has. Where scores rise with training, gaps "
+    "rise with them: a change is not yet one in proportion."
 )
 CURVES_TITLE = "Learning curves"
 CURVES = (

@@ -6,34 +6,36 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared, given
+from omniocc.report.selection import compared, counted_otherwise, given, otherwise_text, preference
 from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
-from omniocc.run.table import Cells, markdown
+from omniocc.run.table import Cells, band_names, markdown
 
 TITLE = "Changes that were tried"
 NOTE = (
-    "Scores on validation scenes, mean ± standard deviation over seeds; test scenes were not looked at. A change names "
-    "the settings that differ from the reference."
+    "Scores on validation scenes, mean ± standard deviation over seeds; none is of test scenes. A change names the "
+    "settings that differ from the reference."
 )
-COLUMNS = {
-    "val/rayiou": "RayIoU",
-    "val/rayiou_0-8.5m": "0-8.5 m",
-    "val/rayiou_8.5-17m": "8.5-17 m",
-    "val/rayiou_17-25.6m": "17-25.6 m",
-    "val/lidar/rayiou": "LiDAR",
-    "val/voxel/iou": "IoU",
-    "val/voxel/miou": "mIoU",
-}
+LAST = {"val/lidar/rayiou": "LiDAR", "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
+
+
+def columns_of(runs: Sequence[FinishedRun]) -> dict[str, str]:
+    """Return the titles of the columns by the keys of their figures, with the bands of distance of the runs."""
+    bands = dict.fromkeys(band for run in runs for band in band_names(run.metrics))
+    return {"val/rayiou": "RayIoU"} | {f"val/rayiou_{band}": band.replace("m", " m") for band in bands} | LAST
 
 
 def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
     """Return the page as Markdown; arguments and errors as those of `tried_cells`."""
-    protocol = protocol_text({run.name: [run] for run in runs}, COLUMNS)
-    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(runs, reference))}{protocol}"
+    own = [run for run in runs if run.row == reference]
+    otherwise = counted_otherwise(runs, own)
+    kept = [run for run in runs if run.name not in otherwise]
+    left = otherwise_text(runs, otherwise).strip()
+    protocol = protocol_text({run.name: [run] for run in kept}, columns_of(kept)) + (f"\n{left}\n" if left else "")
+    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(kept, reference))}{protocol}"
 
 
 def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
@@ -47,9 +49,8 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
         UserError: when no run belongs to that row.
     """
     groups: dict[str, dict[Any, FinishedRun]] = {}
-    for run in sorted(
-        runs, key=lambda run: run.row == reference
-    ):  # of equal runs of a seed, that of the reference counts
+    # of equal runs of a seed, that of the reference counts, and of its own that of `preference`
+    for run in sorted(runs, key=lambda run: (run.row == reference, *preference(run))):
         key = json.dumps([given(run.config), run.facts.get("data")], sort_keys=True)
         groups.setdefault(key, {})[run.facts.get("seed")] = run
     own = [run for members in groups.values() for run in members.values() if run.row == reference]
@@ -59,15 +60,16 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     kept = [list(found.values()) for found in groups.values() if next(iter(found.values())).setting[0] == preset]
     scored = [(figure_of(members, "val/rayiou"), members) for members in kept]
     ordered = sorted(scored, key=lambda pair: -pair[0].mean if pair[0] else 1.0)
-    return ["run", "change", "steps", "seeds", "minutes", *COLUMNS.values()], [
-        _line(members, base) for _, members in ordered
+    columns = columns_of([run for members in kept for run in members])
+    return ["run", "change", "steps", "seeds", "minutes", *columns.values()], [
+        _line(members, base, columns) for _, members in ordered
     ]
 
 
-def _line(members: Sequence[FinishedRun], base: Mapping[str, Any]) -> list[str]:
+def _line(members: Sequence[FinishedRun], base: Mapping[str, Any], columns: Iterable[str]) -> list[str]:
     first = members[0]
     minutes = [float(run.facts.get(MINUTES) or 0) for run in members]
-    figures = [with_spread(key, figure_of(members, key)) for key in COLUMNS]
+    figures = [with_spread(key, figure_of(members, key)) for key in columns]
     parts = [members[-1].row, changes(first.config, base) or "the reference"]
     parts += [steps_of_stages(first), str(len(members))]
     return [*parts, f"{sum(minutes) / len(minutes):.0f}", *figures]

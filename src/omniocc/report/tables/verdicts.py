@@ -36,19 +36,23 @@ PAIRED_NOTE = (
     "The claims about rows that use the same depth network in a seed once more, tested by the difference of both "
     "scores in each such seed and the standard deviation of these differences alone (paired t-test), with Holm's "
     "correction over the same family. This assumes neither that the differences of all pairs of rows vary alike, nor "
-    "that two grids are independent of each other. The rule, which was fixed before the runs, is that of the table "
-    "above: a single pair leaves two to four degrees of freedom, with which fewer gaps are found. Where the verdicts "
-    "differ, that above depends on its assumption."
+    "that two grids are independent of each other. The rule is that of the table above: a single pair leaves {freedom} "
+    "of freedom, with which fewer gaps are found. Where the verdicts differ, that above depends on its assumption."
 )
-NOT_RUN = "not run"
-ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
+IN_COMMON = "seeds in common"
+NOT_RUN, OTHERWISE = "not run", "not compared: other protocols"
+ORDER = (HOLDS, AGAINST, UNDECIDED, OTHERWISE, NOT_RUN)
 
 
 def verdicts_parts(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[Part]:
     """Return the tables of the page, of which the second needs rows that share the depth network."""
+    head, paired = paired_cells(tables, rows, decided)
+    freedom = sorted({int(line[head.index(IN_COMMON)]) - 1 for line in paired})
+    ends = " to ".join(map(str, dict.fromkeys((freedom[0], freedom[-1])))) if freedom else ""
+    about = PAIRED_NOTE.format(freedom=f"{ends} degree{'s' * (ends != '1')}")
     parts = [
         Part("claims", TITLE, NOTE, verdict_cells(tables, rows, decided)),
-        Part("claims-paired", PAIRED_TITLE, PAIRED_NOTE, paired_cells(tables, rows, decided)),
+        Part("claims-paired", PAIRED_TITLE, about, (head, paired)),
     ]
     return [part for part in parts if part.cells[1]]
 
@@ -62,7 +66,7 @@ def verdict_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Nam
 
 def paired_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
     """Return head and a line for each claim and judge by paired differences, beside the verdict of `decided`."""
-    head = ["claim", "table", "judge", "seeds in common", "gap ± error", "no gap: p (Holm)", "paired verdict"]
+    head = ["claim", "table", "judge", IN_COMMON, "gap ± error", "no gap: p (Holm)", "paired verdict"]
     head += ["verdict above", "differs"]
     paired, lines = judged(tables, rows, paired=True), []
     for table, better, other in planned_claims(tables, "own voxels"):
@@ -93,7 +97,8 @@ def _line(
     title = title_of(table, better, other)
     if own is None:
         printed = f"{table.printed_gap(better, other):+.3f}"
-        return [title, table.title, printed, "–", "–", NOT_RUN, *["–"] * len(JUDGES), "–"]
+        ran = better.run in rows and other.run in rows
+        return [title, table.title, printed, "–", "–", OTHERWISE if ran else NOT_RUN, *["–"] * len(JUDGES), "–"]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = ["–" if each is None else both_errors(each.claim) for each in found.values()]
     sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"

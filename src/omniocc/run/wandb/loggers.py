@@ -16,6 +16,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from omniocc.errors import UserError
+from omniocc.io import checked_name
 from omniocc.run.curves import curve_files, read_rows
 from omniocc.run.slots import slots_of
 from omniocc.run.wandb.media import Named, wandb_object
@@ -42,6 +43,11 @@ class Loggers:
     project: str
     group: str | None
     tags: Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Check the group; raise UserError if it cannot be a name."""
+        if self.group is not None:
+            checked_name("group", self.group)
 
     def build(self, folder: Path, config: dict[str, Any], job_type: JobType) -> list[Logger]:
         """Return the loggers that write below `folder`.

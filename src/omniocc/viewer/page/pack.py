@@ -26,7 +26,7 @@ IMAGE_QUALITY = 80
 RANGE_COLORS = 25
 """Number of colours in the bar that explains ranges; the browser interpolates."""
 CAR_ROAD_Z_M = -2.2
-"""Height of the road that the boxes of the ego car stand on."""
+"""Height of the road that the boxes of the ego car stand on, and of one that is not known."""
 FIGURES = {
     "rayiou": "RayIoU",
     "iou": "IoU",
@@ -47,7 +47,7 @@ class Packed:
         self.blocks: dict[str, str] = {}
         self._grids: dict[Grid, int] = {}
         self._rigs: dict[Rig, int] = {}
-        shift_m = shown.road_z_m - CAR_ROAD_Z_M
+        self.road_z_m = CAR_ROAD_Z_M if shown.road_z_m is None else shown.road_z_m
         self.facts: dict[str, Any] = {
             "classes": class_colors(shown.classes),
             "kinds": kind_colors(),
@@ -57,8 +57,7 @@ class Packed:
             "grids": [],
             "rigs": [],
             "frames": [],
-            "road_z_m": shown.road_z_m,
-            "car": [{"bounds": [x, y, [z + shift_m for z in height]], "rgb": rgb} for (x, y, height), rgb in CAR_BOXES],
+            "car": {"road_z_m": CAR_ROAD_Z_M, "boxes": [{"bounds": bounds, "rgb": rgb} for bounds, rgb in CAR_BOXES]},
         }
         for grid in shown.grids:
             self._grid(grid)
@@ -72,6 +71,7 @@ class Packed:
                 "scene": frame.scene,
                 "frame": frame.frame,
                 "time_s": frame.time_s,
+                "road_z_m": self.road_z_m if frame.rig is None or frame.rig.road_z_m is None else frame.rig.road_z_m,
                 "rig": None if frame.rig is None or not frame.images else self._rig(frame.rig),
                 "images": [self._image(image) for image in frame.images],
                 "truth": {self._grid(grid): self._bytes(labels.numpy()) for grid, labels in frame.truth.items()},

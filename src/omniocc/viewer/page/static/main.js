@@ -32,7 +32,7 @@ const timeline = new Timeline(frame => show(frame));
 function start3d() {
   const reach_m = Math.max(...page.grids.map(({ kind, bounds }) => (kind === "cylinder" ? bounds[0][1] : Math.max(...bounds.slice(0, 2).flat().map(Math.abs)))));
   try {
-    return new View3d(at("canvas"), { boxes: page.car, road_m: page.road_z_m, reach_m });
+    return new View3d(at("canvas"), { car: page.car, reach_m });
   } catch (error) {
     at("hint").textContent = `No 3D: ${error.message}. Is WebGL 2 switched on in this browser?`;
     return null;
@@ -63,6 +63,7 @@ async function draw() {
 async function drawVoxels(frame) {
   const keys = visibleViews(), volumes = await Promise.all(keys.map(key => volume(frame, source(key))));
   view3d?.setCount(keys.length);
+  view3d?.setRoad(page.frames[frame].road_z_m);
   volumes.forEach((found, number) => {
     const compared = source(keys[number]).kind === "differences";
     const labels = found && (compared ? differences(found.truth, found.predicted, shown) : found.labels);

@@ -2,7 +2,7 @@
 
 import { Group, Mesh, PerspectiveCamera, Scene, Vector3, WebGLRenderer, WebGLRenderTarget } from "three";
 import { OrbitControls } from "three";
-import { car, clear, outline } from "omniocc/extras.js";
+import { car as carOf, clear, outline } from "omniocc/extras.js";
 import { VoxelMaterial, voxelGeometry } from "omniocc/voxels.js";
 
 const HORIZONTAL_DEG = 58, WIDEST_DEG = 60; // field of view: horizontally, and at most vertically
@@ -10,7 +10,7 @@ const TURN_RAD = 0.08;
 
 export class View3d {
   // `canvas` fills its parent; `reach_m` is the distance from the middle to the end of the largest grid.
-  constructor(canvas, { boxes, road_m, reach_m }) {
+  constructor(canvas, { car, reach_m }) {
     this.canvas = canvas;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
     this.renderer.setClearColor(0, 0);
@@ -20,11 +20,13 @@ export class View3d {
     this.camera.up.set(0, 0, 1);
     this.reach = reach_m;
     this.scale = reach_m / 25.6;
-    this.materials = { classes: new VoxelMaterial(road_m), kinds: new VoxelMaterial(road_m) };
+    this.materials = { classes: new VoxelMaterial(car.road_z_m), kinds: new VoxelMaterial(car.road_z_m) };
     this.extras = new Group();
     this.ray = new Group();
     this.outlines = new Map();
-    this.scene.add(this.ray, this.extras.add(car(boxes)));
+    this.car = carOf(car.boxes);
+    this.carRoad = car.road_z_m;
+    this.scene.add(this.ray, this.extras.add(this.car));
     this.views = [];
     this.controls = new OrbitControls(this.camera, canvas);
     Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.14, zoomToCursor: false, maxDistance: 12 * reach_m, minDistance: 0.5 });
@@ -44,6 +46,13 @@ export class View3d {
       this.scene.add(mesh);
       this.views.push({ mesh, grid: null });
     }
+    this.invalidate();
+  }
+
+  // Put the car on the road, whose height in the ego frame differs between rigs, and shade voxels from there.
+  setRoad(road_m) {
+    this.car.position.z = road_m - this.carRoad;
+    for (const material of Object.values(this.materials)) material.uniforms.road_m.value = road_m;
     this.invalidate();
   }
 
