@@ -1,5 +1,6 @@
 """Forge the files of finished and of unfinished runs, which reports, pages and the watching server read."""
 
+import http.client
 import json
 import random
 import urllib.error
@@ -46,7 +47,7 @@ def page_is_safe(out: Path, text: str) -> str | None:
 
 def watched(box: Box) -> Opening:
     """Return the opening that serves the folder, asks for all that the page asks for, and stops."""
-    port = 20_000 + random.randrange(40_000)
+    port = random.randrange(20_000, 32_000)  # below those that the system gives to connections
     wrong: list[str] = []
 
     def asked() -> bool:
@@ -58,7 +59,7 @@ def watched(box: Box) -> Opening:
         except urllib.error.HTTPError as error:
             wrong.append(f"its list of runs is an error of the server: {error.code} {error.read()[:100]!r}")
             return True
-        except OSError:
+        except (OSError, http.client.HTTPException):
             return False
         if not any(RUN not in json.dumps(state) for state in states):
             wrong.append("runs that are sound are not listed")
