@@ -206,6 +206,7 @@ def text_of(content: bytes) -> str:
 
 def read_short_text(path: Path) -> str:
     """Return the text of a file of at most 16 MiB; raise ValueError if it is longer or no text."""
+    check_regular(path)
     with path.open("rb") as file:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:

@@ -1,9 +1,19 @@
 """Figures of later tests of a run."""
 
+import json
+
 import pytest
 
+from omniocc.errors import UserError
 from omniocc.run.folder import git_commit
-from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, made_by_other_code, save_results, trajectory_figures
+from omniocc.run.results import (
+    FROM_TRAJECTORY,
+    OVERRIDES,
+    load_results,
+    made_by_other_code,
+    save_results,
+    trajectory_figures,
+)
 
 METRICS = {"test/rayiou": 0.2, "test/rayiou_past": 0.25, "test/rayiou_now": 0.3, "prior/rayiou": 0.1}
 
@@ -30,3 +40,21 @@ def test_a_run_of_another_commit_is_named(tmp_path):
     assert made_by_other_code(tmp_path) == ""
     save_results(tmp_path, {"test/rayiou": 0.5}, {"commit": "abc1234"})
     assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"
+
+
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [
+        ("seed", {"a": 1}),
+        ("seed", "1"),
+        ("minutes of training", "a"),
+        ("protocol", "rays"),
+        ("protocol", {"rayiou": "<script>"}),
+        ("classes", [1]),
+        ("preset", 3),
+    ],
+)
+def test_facts_of_other_types_are_refused(fact, value, tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": 0.5}, "seed": 1, fact: value}))
+    with pytest.raises(UserError, match=rf"metrics\.json is damaged \(.*{fact}"):
+        load_results(tmp_path)

@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from omniocc.images import MOST_PIXELS
+
 
 @runtime_checkable
 class Camera(Protocol):
@@ -97,6 +99,11 @@ def check_fields(camera: Camera, checks: Mapping[str, Callable[[str, object], ob
     for name, value in (("width", camera.width), ("height", camera.height)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
+    if camera.width * camera.height > MOST_PIXELS:
+        size = f"{camera.width}x{camera.height} px"
+        raise ValueError(
+            f"width and height are {size}; images of more than {MOST_PIXELS // 10**6} megapixels are not read"
+        )
     for name, check in checks.items():
         object.__setattr__(camera, name, check(name, getattr(camera, name)))
 

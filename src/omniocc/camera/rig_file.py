@@ -81,6 +81,9 @@ def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibrat
         entries = mapping(content["cameras"], "'cameras'")
         if len(entries) > MAX_CAMERAS:
             raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
+        for name in entries:
+            if not isinstance(name, str) and f"{name}:" not in text:  # YAML reads 007 as 7 and on as True
+                raise ValueError(f"the name of a camera reads as {name!r}; write it in quotes")
         names = tuple(checked_name("the name of a camera", str(name)) for name in entries)
         if name := twice(names):
             raise ValueError(f"camera '{name}' stands twice; keep one")
@@ -147,7 +150,7 @@ def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
     if "model" not in entry:
         raise ValueError(f"it has neither a model ({', '.join(MODELS)}) nor a calibration, the file of another tool")
     name = entry["model"]
-    if name not in MODELS:
+    if not isinstance(name, str) or name not in MODELS:
         raise ValueError(f"unknown model '{name}'{_did_you_mean(str(name), list(MODELS))}; models: {', '.join(MODELS)}")
     model = MODELS[name]
     parameters = [field.name for field in dataclasses.fields(model)]

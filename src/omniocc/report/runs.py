@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+from omniocc.config import GROUPS
 from omniocc.errors import UserError
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.run.folder import METRICS, command_of
@@ -76,7 +77,7 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     for path in sorted(folder.glob(f"*/{METRICS}")):
         try:
             runs.append(_read(path.parent))
-        except UserError as error:
+        except (UserError, OSError) as error:
             print(f"left out: {error}", file=sys.stderr, flush=True)
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
@@ -90,6 +91,8 @@ def _read(folder: Path) -> FinishedRun:
     for key in SETTING:
         checked_name(f"{folder / METRICS}: {key}", str(facts.get(key, UNKNOWN)))
     config = read_mapping(path) if (path := folder / "config.yaml").exists() else {}
+    if wrong := [key for key in GROUPS if not isinstance(config.get(key) or {}, dict)]:
+        raise UserError(f"{path} is damaged: {wrong[0]} holds no keys and values")
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
     return FinishedRun(folder.name, facts, figures, folder, config)

@@ -17,6 +17,7 @@ from omniocc.config import (
     plain,
     target_of,
 )
+from omniocc.data.recording.pool import usable_cores
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.run.trust import fault_of, not_offered
@@ -27,6 +28,8 @@ STAGES = ("depth", "sketch", "occupancy")
 """Keys of a checkpoint beside Lightning's own."""
 Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
+WORKERS = ("data.num_workers", "data.source.workers")
+"""Numbers of processes, which are those of another machine."""
 PREFIXES = {
     "depth": {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""},
     "sketch": {"occupancy": "sketch.", "sketch": ""},
@@ -93,6 +96,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if (fault := fault_of(config)) is not None:
         raise UserError(f"{path} cannot be trusted: {fault}")
     tree = OmegaConf.create({key: value for key, value in config.items() if key != "packages"})
+    for key in WORKERS:
+        if isinstance(count := OmegaConf.select(tree, key, throw_on_missing=False), int):
+            OmegaConf.update(tree, key, min(count, usable_cores()))
     return Checkpoint(path, stage, tree, weights, step)
 
 

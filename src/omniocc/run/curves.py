@@ -5,6 +5,9 @@ import io
 import math
 from pathlib import Path
 
+from omniocc.errors import UserError
+from omniocc.io import check_regular, text_of
+
 CURVES = "csv/version_*/metrics.csv"
 """Files of logged metrics in the folder of a run, one for each start."""
 Curve = dict[int, float]
@@ -44,6 +47,10 @@ def curve_files(folder: Path) -> list[Path]:
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the complete lines of a CSV file that have a step, as texts by key."""
-    whole, end, _ = path.read_text().rpartition("\n")
+    check_regular(path)
+    try:
+        whole, end, _ = text_of(path.read_bytes()).rpartition("\n")
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from error
     rows = csv.DictReader(io.StringIO(whole + end, newline=""))
     return [row for row in rows if (row.get("step") or "").isdigit() and None not in row and None not in row.values()]

@@ -7,8 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from omniocc.config import fits
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write, parse_json
+from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.table import ORIGINS, as_markdown, as_text
 
@@ -29,6 +30,14 @@ FROM_TRAJECTORY = f"{EVALUATION}best-trajectory"
 """Folder of the test with rays from where the car was in past, present and future frames."""
 OVERRIDES = "overrides"
 """Fact of later tests: what they change in the configuration of the checkpoint."""
+
+HINTS = {
+    **dict.fromkeys(("run", "checkpoint", "preset", "command", "commit", "data", "machine", FINISHED), str),
+    **dict.fromkeys(("seed", "steps"), int),
+    **dict.fromkeys((MINUTES, EARLIER_MINUTES, CANDIDATES, "peak MiB", "million parameters", "GFLOP a frame"), float),
+    **{"stages": dict[str, int], PROTOCOL: dict[str, str], OVERRIDES: list[str], "classes": list[dict[str, Any]]},
+}
+"""Types of the facts that a run records beside its figures."""
 
 
 def says_the_same(one: str, other: str) -> bool:
@@ -63,8 +72,12 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
     """
     path = folder / METRICS
     try:
-        facts = parse_json(path.read_text())
+        facts = parse_json(read_short_text(path))
         metrics = facts.pop("metrics")
+        if wrong := [key for key, hint in HINTS.items() if key in facts and not fits(facts[key], hint)]:
+            raise ValueError(f"{wrong[0]} is {str(facts[wrong[0]])[:80]!r}")
+        if any("<" in line for line in facts.get(PROTOCOL, {}).values()):  # it is printed into pages as it is
+            raise ValueError(f"a line of its {PROTOCOL} has tags")
         return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         reason = first_line(error)

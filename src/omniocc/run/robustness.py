@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write, checked_name, parse_json
+from omniocc.io import atomic_write, checked_name, parse_json, read_short_text
 
 UNDISTURBED = "undisturbed"
 """Name of the part, and of its group, to which all others are compared."""
@@ -140,7 +140,7 @@ def load_part(path: Path, key: str) -> PartScores | None:
     if not path.exists():
         return None
     try:
-        content = parse_json(path.read_text())
+        content = parse_json(read_short_text(path))
         return _part(content) if content.pop("key") == key else None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise UserError(f"{path} is damaged ({first_line(error)}); remove it, and it is computed again") from error
@@ -161,7 +161,7 @@ def load_robustness(path: Path) -> Robustness:
         UserError: naming a damaged file.
     """
     try:
-        content = parse_json(path.read_text())
+        content = parse_json(read_short_text(path))
         system = checked_name("system", content["system"])
         return Robustness(system, content["facts"], [_part(part) for part in content["parts"]])
     except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write, parse_json
+from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.metric.ray_counts import RayCounts, ray_scores
 
 SCENES = "scenes.json"
@@ -78,7 +78,7 @@ def without_each_scene(folder: Path, kind: str) -> dict[str, float]:
 
 def _read(folder: Path) -> Any:
     path = folder / SCENES
-    return parse_json(path.read_text()) if path.exists() else None
+    return parse_json(read_short_text(path)) if path.exists() else None
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from re import fullmatch
 from typing import Any, NamedTuple
+from unicodedata import category
 
 import yaml
 from torch import Tensor
@@ -31,7 +32,7 @@ GROUPS = {
 ROWS = "ablation"
 """Folder of the rows of tables, which begin at the root of a configuration."""
 TARGET = "_target_"
-SPARE_BYTES = 4 * 2**30
+SPARE_BYTES = 2**30
 """Memory that building a model may take besides some multiples of its weights."""
 MAX_DEPTH, MAX_VALUES, MAX_LETTERS = 30, 20_000, 4_096
 """Limits of a configuration in a file: levels, values, letters of one text; `model=extended` has 6, 330 and 104."""
@@ -126,6 +127,8 @@ def fault_of(config: object) -> str | None:
 def _fault_of_text(text: str) -> str | None:
     if "${" in text:
         return "has an interpolation (${...}), which a file may not have"
+    if any(category(letter) in ("Cc", "Cs") for letter in text[:MAX_LETTERS] if letter not in "\n\t"):
+        return "has letters that cannot be printed"
     return f"has more than {MAX_LETTERS} letters" if len(text) > MAX_LETTERS else None
 
 

@@ -9,7 +9,6 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import OWN_PACKAGE, build, plain
 from omniocc.data import OccupancyData, SourceSpec
-from omniocc.data.recording.pool import usable_cores
 from omniocc.data.source import SceneFrames, SceneSource
 from omniocc.data.store.files import is_url
 from omniocc.errors import UserError, first_line
@@ -111,11 +110,8 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
     cfg.model = without_pretrained(cfg.model)
-    given = {key.partition("=")[0] for key in changes}
-    if "data.num_workers" not in given:
-        cfg.data.num_workers = min(cfg.data.num_workers, usable_cores())  # another machine's number
     data: OccupancyData = build(cfg.data)
-    check_places(path, data.source, given)
+    check_places(path, data.source, {key.partition("=")[0] for key in changes})
     data.check_classes()
     with building(path, trained.weights):
         task = build_task(cfg, data.spec)

@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from omniocc.errors import UserError
-from omniocc.io import atomic_write, parse_json
+from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.predict.output.voxel_files import VOXELS
 
 MANIFEST = "prediction.json"
@@ -52,7 +52,7 @@ def read_manifest(output: Path) -> dict[str, Any]:
         UserError: when the folder has no manifest, or a damaged one.
     """
     try:
-        facts = parse_json((output / MANIFEST).read_text())
+        facts = parse_json(read_short_text(output / MANIFEST))
     except FileNotFoundError as error:
         raise UserError(f"{output} holds no predictions of predict.py occupancy (no {MANIFEST})") from error
     except ValueError as error:
