@@ -53,8 +53,10 @@ def opened(box: Box, kind: str, change: Callable[[Path], Any], right: str, label
     change(path)
     command = record(box, log, f"recorder.{lidar_option(folder)}")
     check = same_points(box.base) if right == "right" else None
-    names = (path.name, path.with_suffix(".label").name, f"lidar.folder={folder}")  # of a folder without scans
-    return [Opening(command, right, names if kind in ("bin", "npy") else (path.name, "hardly any points"), check)]
+    names = (path.name, "hardly any points")
+    if kind in ("bin", "npy"):
+        names += (path.with_suffix(".label").name, f"lidar.folder={folder}")  # the file beside; no scan at all
+    return [Opening(command, right, names, check)]
 
 
 def _text(*changes: tuple[bytes, bytes]) -> Callable[[Path, Box], None]:
