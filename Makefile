@@ -25,7 +25,7 @@ demo: $(READY)  ## Render streets, train, test on unseen streets, show table and
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
-	$(PYTEST) -m 'not whole_runs and not second_device and not faults and not cluster and not browser' $(if $(COVERAGE),--cov)
+	$(PYTEST) -m 'not whole_runs and not second_device and not faults and not cluster and not browser and not hostile' $(if $(COVERAGE),--cov)
 
 test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
 	$(PYTEST) -m whole_runs
@@ -35,6 +35,9 @@ test-device: $(READY)  ## Train every row of the tables on a simulated second de
 
 test-faults: $(READY)  ## Record from a stand-in of a CARLA server that crashes, hangs and lies (minutes)
 	$(PYTEST) -m faults
+
+test-hostile: $(READY)  ## Open hundreds of hostile files by every command (HOSTILE_SEED=1: others; minutes)
+	$(PYTEST) -m hostile tests/hostile
 
 test-cluster: $(READY)  ## Run multiruns on a Slurm of one node, training by torchrun and from S3 (INSTALL_SLURM=1: installs Slurm by apt-get)
 	$(if $(INSTALL_SLURM),apt-get install --yes --quiet slurm-wlm munge)
@@ -104,4 +107,4 @@ dashboard-local: $(READY)  ## Show all W&B runs and stages of this machine in th
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-faults test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard dashboard-local
+.PHONY: help setup demo test test-runs test-device test-faults test-hostile test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard dashboard-local

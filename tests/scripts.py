@@ -10,6 +10,7 @@ import functools
 import gc
 import json
 import os
+import resource
 import runpy
 import select
 import signal
@@ -34,6 +35,7 @@ def run_script(
     cwd: Path | None = None,
     timeout_s: float = 400,
     kill_when: Callable[[], bool] = lambda: False,
+    memory_bytes: int | None = None,
     **environment: str,
 ) -> subprocess.CompletedProcess[str]:
     """Run a script of `src/` to its end.
@@ -44,6 +46,7 @@ def run_script(
         cwd: folder in which it runs; None: the current one.
         timeout_s: after which it is killed, s.
         kill_when: is called again and again until it returns true; then the script and its processes get a SIGKILL.
+        memory_bytes: that it and each of its processes may map beyond what the imports took; None: no limit.
         environment: further variables; folders in `PYTHONPATH` are searched for packages.
 
     Raises:
@@ -52,6 +55,7 @@ def run_script(
     command = [str(ROOT / "src" / name), *arguments]
     with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
         request = {"argv": command, "cwd": str(cwd or Path.cwd()), "environment": {**os.environ, **environment}}
+        request["memory_bytes"] = memory_bytes
         code = _ask(request, [output.fileno(), errors.fileno()], timeout_s, kill_when)
         texts = [file.read() for file in (output, errors) if file.seek(0) == 0]
     return subprocess.CompletedProcess(command, code, *texts)
@@ -126,6 +130,10 @@ def _become(request: dict[str, Any]) -> None:
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["environment"])
+    tempfile.tempdir = None  # of this environment, not of the server's
+    if request["memory_bytes"] is not None:
+        mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (mapped + request["memory_bytes"],) * 2)
     sys.argv = request["argv"]
     sys.path[:0] = [folder for folder in os.environ.get(PYTHONPATH, "").split(os.pathsep) if folder]
 
