@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Float32, Float64
 from torch import Tensor
 
+from omniocc.camera.calibration.fields import naming
 from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
@@ -76,7 +77,9 @@ class Rig:
         Raises:
             ValueError: naming file, the camera and the wrong value.
         """
-        return cls(*read_rig(path))
+        calibration = read_rig(path)
+        with naming(str(path)):
+            return cls(*calibration)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
