@@ -60,7 +60,7 @@ class Rig:
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
             if camera.width * camera.height > MOST_PIXELS:
                 size, most = f"{camera.width}x{camera.height} px", f"{MOST_PIXELS // 10**6} megapixels"
-                raise ValueError(f"camera '{name}' has {size}; images of more than {most} are not read")
+                raise ValueError(f"camera '{name}': its image has {size}; images of more than {most} are not read")
             if mask is not None and mask.shape != (camera.height, camera.width):
                 size = f"{mask.shape[1]}x{mask.shape[0]}"
                 raise ValueError(
