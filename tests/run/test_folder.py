@@ -57,6 +57,7 @@ def test_the_bands_of_the_scores_are_part_of_the_hash_where_they_are_given():
 
 def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("OMNIOCC_PACKAGES", "ownpart")
     hashes = []
     for number in (1, 1, 2):
         (tmp_path / "ownpart.py").write_text(f"class Bottom:\n    layers = {number}\n")

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from omniocc.errors import UserError
-from omniocc.io import check_regular, text_of
+from omniocc.io import check_regular
 
 CURVES = "csv/version_*/metrics.csv"
 """Files of logged metrics in the folder of a run, one for each start."""
@@ -49,8 +49,8 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the complete lines of a CSV file that have a step, as texts by key."""
     check_regular(path)
     try:
-        whole, end, _ = text_of(path.read_bytes()).rpartition("\n")
-    except ValueError as error:
-        raise UserError(f"{path}: {error}") from error
+        whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is damaged: it is no text") from error
     rows = csv.DictReader(io.StringIO(whole + end, newline=""))
     return [row for row in rows if (row.get("step") or "").isdigit() and None not in row and None not in row.values()]
