@@ -1,5 +1,6 @@
 """Checkpoints as files: what damaged, foreign and malicious ones may do."""
 
+import itertools
 import os
 import resource
 import zipfile
@@ -178,12 +179,15 @@ def test_whatever_conf_offers_may_stand_in_a_file(choice):
 def test_building_from_a_file_has_bounds(tmp_path):
     path, weights = tmp_path / "a.ckpt", {"a": torch.ones(3)}
     with (
-        pytest.raises(UserError, match=r"a.ckpt names sizes of a model that need far more memory"),
+        pytest.raises(UserError, match=r"a.ckpt names sizes of a model that need far more"),
         building(path, weights),
     ):
         nn.Linear(1_000_000, 1_000_000)
     with pytest.raises(UserError, match=r"a.ckpt names sizes"), building(path, weights):
         np.zeros(10**12)
+    with pytest.raises(UserError, match=r"a.ckpt names sizes"), building(path, weights):
+        nn.ModuleList(nn.Linear(1, 1) for _ in itertools.count())
+    nn.ModuleList(nn.Linear(1, 1) for _ in range(1000))
     with pytest.raises(UserError, match=r"a.ckpt .* cannot be built: ZeroDivisionError"), building(path, weights):
         print(1 // 0)
     assert resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY

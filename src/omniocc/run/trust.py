@@ -1,5 +1,6 @@
 """Say what a configuration in a file may hold: plain values, and classes that `conf` offers for their place."""
 
+import itertools
 import resource
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ from unicodedata import category
 
 import yaml
 from torch import Tensor
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
 import omniocc
 from omniocc.config import ConfigError
@@ -32,6 +34,8 @@ GROUPS = {
 ROWS = "ablation"
 """Folder of the rows of tables, which begin at the root of a configuration."""
 TARGET = "_target_"
+SPARE_PARAMETERS = 1000
+"""Parameters that a model may have besides some multiples of its weights, while it is built."""
 SPARE_BYTES = 2**30
 """Memory that building a model may take besides some multiples of its weights."""
 MAX_DEPTH, MAX_VALUES, MAX_LETTERS = 30, 20_000, 4_096
@@ -167,7 +171,8 @@ def not_offered(tree: Mapping[str, Any], packages: Sequence[str]) -> Iterator[st
 def building(path: Path, weights: Mapping[str, Tensor]) -> Iterator[None]:
     """Turn everything that goes wrong while a model is built from a file into one line that names the file.
 
-    Its sizes may have any values, so what is built may take no more than some multiples of the memory of its weights.
+    Its sizes may have any values, so what is built may have no more parameters, and take no more memory, than some
+    multiples of its weights.
 
     Raises:
         UserError: when something goes wrong.
@@ -176,6 +181,13 @@ def building(path: Path, weights: Mapping[str, Tensor]) -> Iterator[None]:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     most = used + SPARE_BYTES + 16 * sum(value.nbytes for value in weights.values())
     resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    registered = itertools.count(1)
+
+    def count(*_: object) -> None:
+        if next(registered) > SPARE_PARAMETERS + 8 * len(weights):
+            raise MemoryError("more parameters than the file has weights")
+
+    hook = register_module_parameter_registration_hook(count)
     try:
         yield
     except ConfigError as error:
@@ -184,8 +196,9 @@ def building(path: Path, weights: Mapping[str, Tensor]) -> Iterator[None]:
         raise
     except Exception as error:
         if isinstance(error, MemoryError) or "allocate memory" in str(error):
-            raise UserError(f"{path} names sizes of a model that need far more memory than its weights have") from error
+            raise UserError(f"{path} names sizes of a model that need far more than its weights") from error
         reason = f"{type(error).__name__}: {first_line(error)}; is it of another version?"
         raise UserError(f"{path} describes a model that cannot be built: {reason}") from error
     finally:
+        hook.remove()
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
