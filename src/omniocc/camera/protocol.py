@@ -1,6 +1,6 @@
 """The protocol of camera models, and the checks of their parameters."""
 
-import math
+import sys
 from collections.abc import Callable, Mapping
 from typing import Protocol, runtime_checkable
 
@@ -43,7 +43,7 @@ class Camera(Protocol):
 
 def finite(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError if it is no finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise ValueError(f"{name} is {value!r}; it must be a finite number")
     return float(value)
 
