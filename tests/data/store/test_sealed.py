@@ -98,7 +98,7 @@ def test_a_lidar_has_as_many_hits_as_rays(count, tmp_path):
         ({"velocity_mps": [0, 0, 0]}, r"the velocity_mps of a box is \[0, 0, 0\]; it must be 2 numbers"),
         ({"size_m": "abc"}, "the size_m of a box is 'abc'; it must be 3 numbers"),
         ({"yaw_rad": None}, "the yaw_rad of a box is None; it must be a finite number"),
-        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{400}; it must be a finite number"),
+        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{99}[.]{3}; it must be a finite number"),
         ({"label": "Road"}, "the label of a box is 'Road'; it must be a whole number"),
         ({"id": True}, "the id of a box is True; it must be a whole number"),
     ],
@@ -128,7 +128,7 @@ def test_numbers_that_no_float_holds_are_not_finite():
     [
         (["a", "b"], "'panorama_edges_deg' is 'a'; it must be a finite number"),
         ([NAN, -45.0], "'panorama_edges_deg' is nan; it must be a finite number"),
-        ([10**400, -45.0], "'panorama_edges_deg' is 10*; it must be a finite number"),
+        ([10**400, -45.0], "'panorama_edges_deg' is 10*[.]{3}; it must be a finite number"),
         ([45.0], r"'panorama_edges_deg' is \[45.0\]; it must be two numbers"),
         ([-45.0, 45.0], "top_deg -45.0 and bottom_deg 45.0: need"),
         ([450.0, -45.0], "top_deg 450.0 and bottom_deg -45.0: need"),
