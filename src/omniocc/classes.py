@@ -54,8 +54,10 @@ class ClassTable:
                 raise ValueError(
                     f"class '{row.name}' has id {row.id} in row {place}; ids must be 0, 1, 2, ... in order"
                 )
-            if not row.name or self.names.count(row.name) > 1:
-                raise ValueError(f"class {row.id} has the name '{row.name}'; names must be unique and not empty")
+            if not isinstance(row.name, str) or not row.name or not row.name.isprintable():
+                raise ValueError(f"class {row.id} has the name {row.name!r}; names must be printable text")
+            if self.names.count(row.name) > 1:
+                raise ValueError(f"class {row.id} has the name '{row.name}'; names must be unique")
             if len(row.rgb) != 3 or not all(isinstance(part, int) and 0 <= part <= 255 for part in row.rgb):
                 raise ValueError(f"class '{row.name}' has rgb {row.rgb}; it must be three whole numbers 0..255")
 
@@ -93,10 +95,10 @@ class ClassTable:
             ValueError: naming the id or the row that is wrong.
         """
         try:
-            rows = [SemanticClass(int(key), str(row["name"]), tuple(row["rgb"])) for key, row in data.items()]
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"a class table must map ids to name and rgb, got {dict(data)!r}") from error
-        return cls(tuple(sorted(rows)))
+            rows = [SemanticClass(int(key), row["name"], tuple(row["rgb"])) for key, row in data.items()]
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"a class table must map ids to name and rgb, got {repr(data)[:200]}") from error
+        return cls(tuple(sorted(rows, key=lambda row: row.id)))
 
 
 CLASSES: tuple[SemanticClass, ...] = (

@@ -11,6 +11,8 @@ from omniocc.data.source.virtual import VirtualWorld
 from omniocc.world.frame import Box, Frame
 
 CAMERAS, WIDTH, HEIGHT = 6, 32, 18
+RAYS = 14040
+"""Of the LiDAR, which the format fixes."""
 
 
 def fake_frame(seed: int, index: int, interval_s: float = 0.5) -> Frame:
@@ -29,8 +31,8 @@ def fake_frame(seed: int, index: int, interval_s: float = 0.5) -> Frame:
         erp_range_m=rng.uniform(0.5, 60, (8, 16)).astype(np.float32),
         points_m=rng.uniform([-20, -20, -2.5], [20, 20, 3], (points, 3)).astype(np.float32),
         point_labels=rng.integers(1, 12, points).astype(np.uint8),
-        lidar_range_m=np.append(rng.uniform(1, 50, 63), np.inf).astype(np.float32),
-        lidar_labels=np.append(rng.integers(1, 12, 63), 0).astype(np.uint8),
+        lidar_range_m=np.append(rng.uniform(1, 50, RAYS - 1), np.inf).astype(np.float32),
+        lidar_labels=np.append(rng.integers(1, 12, RAYS - 1), 0).astype(np.uint8),
         boxes=(Box(7, 7, (1.0, 2.5, -1.1), (4.5, 1.9, 1.5), 0.3, (8.25, -0.1)),),
     )
 

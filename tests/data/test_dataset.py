@@ -118,7 +118,7 @@ def test_collate_gives_a_batch(world):
     assert batch.exists.tolist() == [[False, True], [True, True], [True, True]]
     assert batch.voxels.shape == (3, 8, 10, 4)
     assert batch.pixel_labels.shape == (3, 6, 18, 32)
-    assert batch.lidar_range_m.shape == batch.lidar_labels.shape == (3, 64)
+    assert batch.lidar_range_m.shape == batch.lidar_labels.shape == (3, 14040)
     assert {t.dtype for t in (batch.images, batch.voxels, batch.pixel_labels, batch.lidar_labels)} == {torch.uint8}
     assert batch.rigs == ((world.rig, world.rig),) * 3
     assert batch.frame_ids == ("train-000-downtown/000000", "train-001-suburb/000001", "train-001-suburb/000003")

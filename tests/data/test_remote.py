@@ -112,7 +112,7 @@ def test_members_side_by_side_are_one_request(world):
 def test_a_server_without_byte_ranges_is_named(world):
     server, url = serve(world.root, WholeHandler)
     reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
-    with pytest.raises(DataError, match=r"train-000-downtown/frames-000\.tar: .*byte ranges"):
+    with pytest.raises(DataError, match=r"train-000-downtown/frames-001\.tar: .*byte ranges"):
         reader.read(1, ["rgb0.jpg"])
     server.shutdown()
     server.server_close()
@@ -223,7 +223,7 @@ def test_a_reader_goes_on_when_a_server_comes_back(world, capsys):
     there = threading.Timer(0.5, lambda: serve(world.root, RangeHandler, server.server_port))
     there.start()
     assert reader.read(1, ["rgb0.jpg"]) != first
-    assert "frames-000.tar: no answer (ClientConnector" in capsys.readouterr().err
+    assert "frames-001.tar: no answer (ClientConnector" in capsys.readouterr().err
     there.join()
 
 

@@ -1,3 +1,4 @@
+import fake_scene
 import numpy as np
 import pytest
 import torch
@@ -22,6 +23,7 @@ def scene(tmp_path, monkeypatch):
     rays = np.stack([np.cos(angles), np.sin(angles), 0.1 * np.cos(7 * angles)], axis=1)
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
     monkeypatch.setattr(reader, "_lidar_directions", lambda: rays)
+    monkeypatch.setattr(fake_scene, "RAYS", len(rays))
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
     return world.scenes("train")[0]

@@ -1,6 +1,7 @@
 import subprocess
 import tarfile
 
+import numpy as np
 import pytest
 
 from omniocc.data.store.reader import SceneReader
@@ -17,7 +18,7 @@ def blobs(frame: int) -> dict[str, bytes]:
 def write(folder, frames=range(6), finish=True, limit=LIMIT):
     writer = SceneWriter(folder, limit)
     for frame in frames:
-        writer.append(blobs(frame), {"time_s": frame / 10, "world_from_ego": [[1.0]]})
+        writer.append(blobs(frame), {"time_s": frame / 10, "world_from_ego": np.eye(4).tolist()})
     if finish:
         writer.finish({"seed": 5})
     writer.close()

@@ -4,10 +4,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from omniocc.camera import Equirectangular
+from omniocc.camera.protocol import finite, numbers, positive
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.geometry.directions import sparseocc_directions
+
+MOST_EDGES = 100
+"""Most ends of bands of ranges that are read."""
 
 
 def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float | None) -> SourceSpec:
@@ -37,8 +41,12 @@ def read_spec(plain: dict[str, Any]) -> SourceSpec:
     """Return the spec of recorded scenes, the inverse of `plain_spec`.
 
     Raises:
-        KeyError, ValueError: if something is missing or makes no sense.
+        KeyError, TypeError, ValueError: if something is missing or makes no sense.
     """
+    numbers("range_edges_m", plain["range_edges_m"], 2, MOST_EDGES)
+    positive("frame_interval_s", plain["frame_interval_s"])
+    if plain["road_z_m"] is not None:
+        finite("road_z_m", plain["road_z_m"])
     return SourceSpec(
         classes=ClassTable.from_dict(plain["classes"]),
         range_edges_m=tuple(plain["range_edges_m"]),

@@ -146,7 +146,7 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
     try:
         facts = scene.meta["facts"]
         recipe = facts.get("recipe")
-        drawn = isinstance(recipe, dict) and recipe["rig"].startswith(RANDOM)
+        drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(RANDOM)
         return read_spec(facts["spec"] | ({"road_z_m": None} if drawn else {}))
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error

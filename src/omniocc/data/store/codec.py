@@ -25,10 +25,12 @@ import cv2
 import numpy as np
 import zstandard
 
+from omniocc.camera.protocol import finite, numbers
 from omniocc.data.labels.morton import interleave, separate
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.raster import MAX_PIXELS, pack, unpack
 from omniocc.data.store.zstd import decompress
+from omniocc.io import parse_json
 from omniocc.world.frame import Box, Frame
 
 STEPS_PER_M = 256
@@ -65,7 +67,7 @@ def encode_frame(frame: Frame | RecordedFrame) -> dict[str, bytes]:
 
 def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
     """Return the frame that all its blobs hold, within the errors of the table above; parts without blobs are None."""
-    facts = json.loads(blobs[FACTS])
+    facts = parse_json(blobs[FACTS])
     cameras = range(sum(name.startswith("rgb") for name in blobs))
     points_m, point_labels = decode_points(blobs[POINTS]) if POINTS in blobs else (None, None)
     lidar_range_m, lidar_labels = decode_lidar(blobs[LIDAR]) if LIDAR in blobs else (None, None)
@@ -73,7 +75,9 @@ def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
         time_s=facts["time_s"],
         world_from_ego=np.array(facts["world_from_ego"], dtype=np.float64),
         images=np.stack([decode_image(blobs[f"rgb{k}.jpg"]) for k in cameras]),
-        semantics=np.stack([unpack(blobs[f"semantic{k}.zst"]) for k in cameras]) if "semantic0.zst" in blobs else None,
+        semantics=np.stack([decode_labels(blobs[f"semantic{k}.zst"]) for k in cameras])
+        if "semantic0.zst" in blobs
+        else None,
         range_m=np.stack([decode_range(blobs[f"range{k}.zst"]) for k in cameras]) if "range0.zst" in blobs else None,
         erp_range_m=decode_range(blobs[PANORAMA]) if PANORAMA in blobs else None,
         points_m=points_m,
@@ -85,8 +89,8 @@ def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
 
 
 def decode_boxes(blob: bytes) -> tuple[Box, ...]:
-    """Return the boxes of actors that `frame.json` holds."""
-    return tuple(_decode_box(box) for box in json.loads(blob)["boxes"])
+    """Return the boxes of actors that `frame.json` holds; raise KeyError, TypeError or ValueError for what is none."""
+    return tuple(_decode_box(box) for box in parse_json(blob)["boxes"])
 
 
 def encode_image(image: np.ndarray) -> bytes:
@@ -110,8 +114,13 @@ def encode_range(range_m: np.ndarray) -> bytes:
 
 
 def decode_range(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
-    """Return the ranges, (H, W) float32, m; raise ValueError for more than this many."""
-    return restore_range(unpack(blob, limit_px))
+    """Return the ranges, (H, W) float32, m; raise ValueError for more than this many or not of 16 bits."""
+    return restore_range(_of_bits(16, unpack(blob, limit_px)))
+
+
+def decode_labels(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
+    """Return the classes of pixels, (H, W) uint8; raise ValueError for more than this many or not of 8 bits."""
+    return _of_bits(8, unpack(blob, limit_px))
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:
@@ -193,6 +202,17 @@ def _join(planes: np.ndarray, dtype: str) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view(dtype).reshape(-1)
 
 
+def _of_bits(bits: int, pixels: np.ndarray) -> np.ndarray:
+    if pixels.itemsize * 8 != bits:
+        raise ValueError(f"its pixels have {pixels.itemsize * 8} bits instead of {bits}")
+    return pixels
+
+
 def _decode_box(box: dict) -> Box:
-    center_m, size_m, velocity_mps = (tuple(box[key]) for key in ("center_m", "size_m", "velocity_mps"))
-    return Box(box["id"], box["label"], center_m, size_m, box["yaw_rad"], velocity_mps)
+    for key in ("id", "label"):
+        if isinstance(box[key], bool) or not isinstance(box[key], int):
+            raise ValueError(f"the {key} of a box is {box[key]!r}; it must be a whole number")
+    lengths = {"center_m": 3, "size_m": 3, "velocity_mps": 2}
+    center_m, size_m, velocity_mps = (numbers(f"the {key} of a box", box[key], n, n) for key, n in lengths.items())
+    yaw_rad = finite("the yaw_rad of a box", box["yaw_rad"])
+    return Box(box["id"], box["label"], center_m, size_m, yaw_rad, velocity_mps)  # type: ignore[arg-type]

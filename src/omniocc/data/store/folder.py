@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
+from omniocc.camera import Equirectangular
+from omniocc.camera.protocol import pair
 from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
-from omniocc.io import checked_name, parse_json
+from omniocc.io import checked_name, parse_json, twice
 
 LEAST_FRAME_BYTES = 50
 """Smallest size of a frame's lines in an index."""
@@ -47,7 +49,9 @@ def read_index(plain: Mapping[str, Any]) -> Index:
     Raises:
         KeyError, TypeError, ValueError, OverflowError: if something is missing or impossible.
     """
-    frames, members = plain["frames"], tuple(plain["members"])
+    frames, members = plain["frames"], tuple(checked_name("the name of a member", name) for name in plain["members"])
+    if (name := twice(members)) is not None:
+        raise ValueError(f"the member '{name}' stands twice in it")
     entries = [frame["entry"] for frame in frames if frame["entry"]]
     offset, size, crc32 = (
         np.array([frame[key] for frame in frames], dtype).reshape(len(frames), len(members))
@@ -64,7 +68,8 @@ def check_meta(meta: Mapping[str, Any]) -> None:
     """Check the facts of a scene on which reading depends.
 
     Raises:
-        ValueError: naming the fact and its value: more frames than the index can list, or a file without size or sum.
+        ValueError: naming the fact and its value: more frames than the index can list, a file without size or sum,
+            classes that are no table, or edges of panoramas that are none.
     """
     files, frames = meta.get("files"), meta.get("frames")
     if not isinstance(files, dict) or not isinstance(meta.get("facts"), dict):
@@ -78,13 +83,20 @@ def check_meta(meta: Mapping[str, Any]) -> None:
     if not isinstance(frames, int) or isinstance(frames, bool) or not 0 <= frames <= listed // LEAST_FRAME_BYTES:
         most = f"its {INDEX} of {listed:,} bytes can list at most {listed // LEAST_FRAME_BYTES:,}"
         raise ValueError(f"'frames' is {str(frames)[:80]}, but {most}")
+    spec = meta["facts"].get("spec", {})
+    if not isinstance(spec, dict) or not isinstance(spec.get("classes", {}), dict):
+        raise ValueError(f"'spec' holds no table of classes: {str(spec)[:80]}")
+    if "panorama_edges_deg" in meta["facts"]:
+        top_deg, bottom_deg = pair("'panorama_edges_deg'", meta["facts"]["panorama_edges_deg"])
+        Equirectangular(1, 1, top_deg, bottom_deg)  # whose edges it checks
 
 
 def check_index(index: Index, meta: Mapping[str, Any]) -> None:
     """Check an index against the facts of its scene.
 
     Raises:
-        ValueError: if it lists another number of frames, or members outside of their shards.
+        ValueError: if it lists another number of frames, members outside of their shards, times or poses that are no
+            finite numbers, or those of some frames alone.
     """
     if len(index.shard) != meta["frames"]:
         raise ValueError(f"{len(index.shard)} frames instead of {meta['frames']}")
@@ -93,6 +105,13 @@ def check_index(index: Index, meta: Mapping[str, Any]) -> None:
         offset, size = index.offset[frame], index.size[frame]
         if min(offset.min(initial=0), size.min(initial=0)) < 0 or (offset + size).max(initial=0) > sizes[number]:
             raise ValueError(f"frame {frame} has members outside of {shard_name(number)}, of {sizes[number]:,} bytes")
+    times, poses = index.time_s, index.world_from_ego
+    if len(times) not in (0, len(index.shard)) or times.ndim != 1 or poses.shape != (len(times), 4, 4):
+        shapes = f"times of the shape {times.shape}, poses of the shape {poses.shape}"
+        raise ValueError(f"{len(index.shard)} frames, but {shapes}")
+    wrong = np.flatnonzero(~(np.isfinite(times) & np.isfinite(poses).all(axis=(1, 2))))
+    if len(wrong):
+        raise ValueError(f"time or pose of frame {wrong[0]} holds a value that is not finite")
 
 
 class SceneFolder:

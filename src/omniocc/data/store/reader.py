@@ -21,6 +21,7 @@ from omniocc.data.store.codec import (
     POINTS,
     decode_boxes,
     decode_image,
+    decode_labels,
     decode_lidar,
     decode_points,
     decode_range,
@@ -28,7 +29,6 @@ from omniocc.data.store.codec import (
 from omniocc.data.store.files import LIMIT_BYTES
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
-from omniocc.data.store.raster import unpack
 from omniocc.data.store.shard import shard_name
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
@@ -58,6 +58,8 @@ class SceneReader(SceneFolder):
         masked: rig whose masks are used instead of the recorded ones; None keeps these.
         panorama: of the true ranges; None: as they were recorded.
     """
+
+    _first_panorama: tuple[int, Equirectangular] | None = None  # the frame whose panorama was read first, and its size
 
     def __init__(self, folder: Path | str, masked: Rig | None = None, panorama: Equirectangular | None = None):
         super().__init__(folder)
@@ -117,7 +119,7 @@ class SceneReader(SceneFolder):
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
         if not self.has("semantic0.zst"):
             return None
-        labels = self._of_cameras(frame, "semantic{}.zst", unpack)
+        labels = self._of_cameras(frame, "semantic{}.zst", decode_labels)
         return [self._known(one, frame, "pixels") for one in labels]
 
     def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
@@ -131,14 +133,23 @@ class SceneReader(SceneFolder):
         if not self.has(PANORAMA):
             return None
         range_m = self._decoded(frame, PANORAMA, decode_range)
-        return range_m if self.panorama is None else resampled(range_m, self._recorded(range_m), self.panorama)
+        recorded = self._recorded(frame, *range_m.shape)
+        return range_m if self.panorama is None else resampled(range_m, recorded, self.panorama)
 
-    def _recorded(self, range_m: np.ndarray) -> Equirectangular:
-        """Return the recorded panorama; where its edges are not stated, they are the wanted ones."""
-        assert self.panorama is not None
-        height, width = range_m.shape
-        edges = self.meta["facts"].get("panorama_edges_deg", (self.panorama.top_deg, self.panorama.bottom_deg))
-        return Equirectangular(width, height, *edges)
+    def _recorded(self, frame: int, height: int, width: int) -> Equirectangular:
+        """Return the recorded panorama; where its edges are not stated, they are the wanted ones.
+
+        Raises:
+            DataError: if it has another size than the first that was read of the scene, which states none.
+        """
+        wanted = (90.0, -90.0) if self.panorama is None else (self.panorama.top_deg, self.panorama.bottom_deg)
+        with self._decoding(frame, PANORAMA):
+            recorded = Equirectangular(width, height, *self.meta["facts"].get("panorama_edges_deg", wanted))
+        self._first_panorama = first, other = self._first_panorama or (frame, recorded)
+        if recorded != other:
+            sizes = f"{width} x {height} px, that of frame {first} has {other.width} x {other.height} px"
+            raise self._wrong(frame, f"it has {sizes}; all of a scene must be equal", PANORAMA)
+        return recorded
 
     def lidar(self, frame: int) -> LidarScan | None:
         """Return the hits of the ego LiDAR."""
@@ -147,6 +158,8 @@ class SceneReader(SceneFolder):
         blobs, directions = self.read(frame, [LIDAR, FACTS]), _lidar_directions()
         with self._decoding(frame, LIDAR):
             range_m, labels = decode_lidar(blobs[LIDAR], len(directions))
+        if len(labels) != len(directions):
+            raise self._wrong(frame, f"it has {len(labels):,} hits, its rays are {len(directions):,}", LIDAR)
         with self._decoding(frame, FACTS):
             boxes = decode_boxes(blobs[FACTS])
         self._known(labels, frame, "LiDAR hits")
@@ -176,8 +189,12 @@ class SceneReader(SceneFolder):
         num_classes = len(self.meta["facts"].get("spec", {}).get("classes", range(UNKNOWN)))
         if wrong := ids_beyond(labels, num_classes, first):
             has = f"the scene has {first} to {num_classes - 1}, and {UNKNOWN} for unknown"
-            raise self.damaged(shard_name(int(self.index.shard[frame])), f"{kind} of classes {wrong}; {has}", frame)
+            raise self._wrong(frame, f"{kind} of classes {wrong}; {has}")
         return labels
+
+    def _wrong(self, frame: int, problem: str, member: str | None = None) -> DataError:
+        """Return the error for content of a frame that does not fit the scene; it names shard, frame and member."""
+        return self.damaged(shard_name(int(self.index.shard[frame])), problem, frame, member)
 
     def _decoded(self, frame: int, name: str, decode: Callable[[bytes], T]) -> T:
         blob = self.read(frame, [name])[name]
@@ -185,12 +202,16 @@ class SceneReader(SceneFolder):
             return decode(blob)
 
     def _of_cameras(self, frame: int, pattern: str, decode: Callable[[bytes, int], np.ndarray]) -> list[np.ndarray]:
-        """Return a member of every camera, decoded; it may have as many pixels as the camera's image."""
+        """Return a member of every camera, decoded; raise DataError unless it has the size of the camera's image."""
         cameras = {pattern.format(k): camera for k, camera in enumerate(self.rig.cameras)}
         images = []
         for name, blob in self.read(frame, list(cameras)).items():
+            height, width = cameras[name].height, cameras[name].width
             with self._decoding(frame, name):
-                images.append(decode(blob, cameras[name].width * cameras[name].height))
+                images.append(decode(blob, width * height))
+            if (found := images[-1].shape[:2]) != (height, width):
+                sizes = f"{found[1]} x {found[0]} px, but its camera has {width} x {height} px"
+                raise self._wrong(frame, f"it has {sizes}", name)
         return images
 
     @contextmanager
@@ -198,6 +219,4 @@ class SceneReader(SceneFolder):
         try:
             yield
         except Exception as error:  # decoders raise errors of many kinds
-            shard = shard_name(int(self.index.shard[frame]))
-            reason = f"it cannot be decoded ({type(error).__name__}: {error})"
-            raise self.damaged(shard, reason, frame, name) from error
+            raise self._wrong(frame, f"it cannot be decoded ({type(error).__name__}: {error})", name) from error
