@@ -8,7 +8,7 @@ from lightning.pytorch import Trainer
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import OWN_PACKAGE, build, plain
-from omniocc.data import OccupancyData, SourceSpec
+from omniocc.data import OccupancyData, SourceSpec, VirtualWorld
 from omniocc.data.source import SceneFrames, SceneSource
 from omniocc.data.store.files import is_url
 from omniocc.errors import UserError, first_line
@@ -136,7 +136,9 @@ def check_places(path: Path, source: SceneSource, given: Collection[str]) -> Non
         if place is None or f"data.source.{key}" in given:
             continue
         inside = not is_url(str(place)) and Path(place).resolve().is_relative_to(Path.cwd())
-        if not inside and (is_url(str(place)) or not source.folder.exists()):
+        # scenes of the virtual world are rendered into a new folder of root, other sources only read there
+        holds = source.folder if key == "cache" or isinstance(source, VirtualWorld) else Path(place)
+        if not inside and (is_url(str(place)) or not holds.exists()):
             raise UserError(
                 f"{path} names {place} for its data, which is not below this folder and holds no such data; to use "
                 f"it, name it yourself: data.source.{key}={place}"
