@@ -137,8 +137,8 @@ def _number(key: str, value: Any) -> float:
     if isinstance(value, str):  # PyYAML reads 1e-5, without a point, as text
         try:
             value = number_of(value)
-        except ValueError as error:
-            raise ValueError(f"{key}: {error}") from None
+        except ValueError:
+            raise ValueError(f"{key} is {shortened(value)!r}; it must be a finite number") from None
     return finite(key, value)
 
 

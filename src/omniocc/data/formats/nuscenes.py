@@ -240,4 +240,8 @@ def _pose(tables: Path, table: str, rows: Rows, token: str) -> np.ndarray:
     if token not in rows:
         raise DataError(f"{tables / table}.json: the record {token} is missing")
     with _naming(tables / f"{table}.json"):
-        return quaternion_pose(rows[token]["rotation"], rows[token]["translation"], f"record {token}")
+        rotation, translation_m = rows[token]["rotation"], rows[token]["translation"]
+        try:
+            return quaternion_pose(rotation, translation_m, f"record {token}")
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{tables / table}.json: {error}") from error

@@ -23,7 +23,8 @@ def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], n
     q, t = np.asarray(rotation, np.float64), np.asarray(translation_m, np.float64)
     length = float(np.linalg.norm(q))
     if q.shape != (4,) or t.shape != (3,) or not np.isfinite(t).all() or not abs(length - 1) < TOLERANCE:
-        reason = f"the quaternion's length is {length:.4g}" if np.isfinite([*q, *t]).all() else "a number is not finite"
+        finite = np.isfinite(q).all() and np.isfinite(t).all()
+        reason = f"the quaternion's length is {length:.4g}" if finite else "a number is not finite"
         raise ValueError(f"{name}: rotation {list(rotation)}, translation {list(translation_m)} are no pose ({reason})")
     check_position(t, name)
     w, x, y, z = q / length
