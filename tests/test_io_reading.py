@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from omniocc.errors import DataError
-from omniocc.io import MOST_BYTES, parse_json, parse_yaml, read_short_text, read_yaml, text_of, twice
+from omniocc.io import MOST_BYTES, number_of, parse_json, parse_yaml, read_short_text, read_yaml, text_of, twice
 
 LAUGHS = "a0: &a0 [x, x, x]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
 MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k}\n  <<: [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
@@ -91,6 +91,23 @@ def test_json_has_every_key_once():
         parse_json('{"a": [{"b": 1, "c": 2, "b": 1}]}')
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json("[" * 200_000)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1", 1.0), (" -2.5e-3 ", -2.5e-3), ("+.5", 0.5), ("7.", 7.0), ("1E5", 1e5)]
+)
+def test_numbers_of_text(text, number):
+    assert number_of(text) == number
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1_0", "١٢", "²", "nan", "inf", "-Infinity", "1e400", "1" * 5000, "0x10", "1,5", "1 2", "", "left", "1e1_0"],
+)
+def test_what_python_alone_takes_for_a_number_is_refused_in_few_characters(text):
+    with pytest.raises(ValueError, match="' is no finite number") as caught:
+        number_of(text)
+    assert len(str(caught.value)) < 120
 
 
 def test_the_first_name_that_stands_twice():

@@ -1,5 +1,8 @@
 """Errors that scripts report by their message alone."""
 
+LONGEST = 1000
+"""Characters of a text that a message shows: a value may have a thousand lines."""
+
 
 class UserError(ValueError):
     """A mistake of the user or a problem outside the code: scripts end with this message, without a traceback."""
@@ -12,6 +15,11 @@ class DataError(OSError):
 def installing(extra: str) -> str:
     """Return the command that installs a group of optional packages, with the folder in which it works."""
     return f"pip install --constraint constraints.txt --editable '.[{extra}]' (in the folder of this repository)"
+
+
+def shortened(text: str, most: int = LONGEST) -> str:
+    """Return a text for a message, without its middle if it has more than `most` characters."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
 def first_line(error: BaseException) -> str:

@@ -4,7 +4,9 @@ import contextlib
 import errno
 import glob
 import json
+import math
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -15,7 +17,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, UserError, first_line
+from omniocc.errors import DataError, UserError, first_line, shortened
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -29,6 +31,9 @@ YAML: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _AS_TEXT = ("tag:yaml.org,2002:merge", "tag:yaml.org,2002:value")  # of the keys << and =, which have no value
 Name = TypeVar("Name", bound=Hashable)
 
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
+SHOWN_OF_NUMBER = 80
+"""Characters of a number that a message shows."""
 NAME_BYTES = 100
 """Most bytes of a name; those of files and folders, which add to it, may have 255."""
 NOT_IN_NAMES = frozenset('/\\<>:"|?*')
@@ -190,6 +195,17 @@ def twice(names: Iterable[Name]) -> Name | None:
             return name
         met.add(name)
     return None
+
+
+def number_of(text: str) -> float:
+    """Return the number that a cell or word of a text file is.
+
+    Raises:
+        ValueError: if it is no finite number as files have them: Python also reads `1_0` and digits of other scripts.
+    """
+    if not NUMBER.fullmatch(text.strip()) or not math.isfinite(value := float(text)):
+        raise ValueError(f"{shortened(text, SHOWN_OF_NUMBER)!r} is no finite number")
+    return value
 
 
 def text_of(content: bytes) -> str:

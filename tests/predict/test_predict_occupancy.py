@@ -273,7 +273,7 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
         ([trained, own, rig, "history=strem"], ["history", "'strem'", "'stream'"]),
         ([trained, own, rig, "history=stream"], ["history=stream", "poses=..."]),
         ([trained, own, rig, f"poses={tmp_path / 'few.csv'}"], ["few.csv", "no pose of frame '000004'", "'000003'"]),
-        ([trained, own, rig, f"poses={tmp_path / 'nan.csv'}"], ["line 6", "frame '000004'", "not finite"]),
+        ([trained, own, rig, f"poses={tmp_path / 'nan.csv'}"], ["line 6", "frame '000004'", "no finite number"]),
         ([trained, f"images={images / FRAMES[0]}", rig, f"poses={images / 'poses.csv'}"], ["single frame"]),
         ([trained, f"images={cropped}", rig], ["rear.png", "64x48", "64x36"]),
         ([trained, f"images={images / FRAMES[0]}", "rig=surround_view"], ["no image", "rear_left"]),

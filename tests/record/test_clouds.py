@@ -92,6 +92,36 @@ def cut(path, size):
         ("1.ply", lambda path: cut(path, 50), "the header of a PLY file is missing"),
         ("1.npz", lambda path: cut(path, 300), "the file is damaged"),
         ("1.npz", lambda path: np.savez(path, dots=POINTS), "its array 'points' is missing"),
+        (
+            "1.pcd",
+            lambda path: swap(path, b"SIZE 4 4 4 4 2", b"SIZE 4 4 4 4 48"),
+            "label of type U and 48 bytes cannot",
+        ),
+        ("1.pcd", lambda path: swap(path, b"TYPE F F", b"TYPE FI F"), "the field x of type FI and 4 bytes cannot be"),
+        ("1.pcd", lambda path: swap(path, b"WIDTH 401", b"WIDTH 77"), "WIDTH 77 and HEIGHT 1 of the header are not"),
+        ("1.pcd", lambda path: swap(path, b"POINTS 401", b"POINTS 10"), "WIDTH 401 and HEIGHT 1 of the header are"),
+        ("1.pcd", lambda path: few(path, "binary"), "7,038 bytes are left over after the 10 points"),
+        ("1.pcd", lambda path: few(path, "ascii"), "bytes are left over after the 10 points that the header names"),
+        ("1.pcd", lambda path: added(path), "5 bytes are left over after the 401 points"),
+        (
+            "1.ply",
+            lambda path: swap(path, b"vertex 401", b"vertex 10"),
+            "7,038 bytes are left over after the 10 points",
+        ),
+        ("1.ply", lambda path: swap(path, b"element vertex 401", b"element"), "first element of the file must be"),
+        ("1.ply", lambda path: swap(path, b"vertex 401", b"vertex 401 401"), "element vertex is '401 401'"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS.T), "the shape (3, 401); it must be (P, 3), a row for"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS, labels=LABELS[:-1]), "'labels' has the shape (400,)"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS.astype(str)), "its array 'points' is of <U32"),
+        (
+            "1.npz",
+            lambda path: np.savez(path, points=POINTS > 0),
+            "its array 'points' is of bool; it must hold numbers",
+        ),
+        ("1.npz", lambda path: np.savez(path, points=POINTS.astype("c8")), "its array 'points' is of complex64"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS.astype("M8[s]")), "its array 'points' is of datetime64[s]"),
+        ("1.bin", lambda path: looped(path.with_suffix(".label")), "1.label cannot be read: Too many levels"),
+        ("1.bin", lambda path: folder(path.with_suffix(".label")), "1.label cannot be read: it is a folder"),
         ("1.xyz", lambda path: path.touch(), "points are read from .bin, .pcd, .ply, .npz"),
         ("1.bin", lambda path: cut(path.with_suffix(".label"), 8), "1.label: the file has 8 bytes instead of 1,604"),
     ],
@@ -107,6 +137,49 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path, name, harm, words):
     assert words in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path))
     assert "\n" not in str(caught.value)
+
+
+def few(path, encoding):
+    """Name 10 of the 401 points in the whole header."""
+    write_pcd(path, POINTS, LABELS, encoding)
+    swap(path, b"WIDTH 401", b"WIDTH 10")
+    swap(path, b"POINTS 401", b"POINTS 10")
+
+
+def added(path):
+    path.write_bytes(path.read_bytes() + b" more")
+
+
+def looped(path):
+    path.unlink()
+    path.symlink_to(path.name)
+
+
+def folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+def test_underscores_in_numbers_of_points_are_refused(tmp_path):
+    write_pcd(tmp_path / "1.pcd", np.full((3, 3), 12.5, np.float32), np.arange(3), "ascii")
+    swap(tmp_path / "1.pcd", b"12.5", b"1_2.5")
+    with pytest.raises(DataError, match=r"1\.pcd: the points are not 3 lines of 5 numbers"):
+        read_cloud(tmp_path / "1.pcd")
+
+
+@pytest.mark.parametrize("rest", [b"", b"\n", b"\0" * 100])
+def test_padding_after_the_points_is_no_point(tmp_path, rest):
+    write_pcd(tmp_path / "1.pcd", POINTS, LABELS, "binary")
+    (tmp_path / "1.pcd").write_bytes((tmp_path / "1.pcd").read_bytes() + rest)
+    same(tmp_path / "1.pcd")
+
+
+def test_faces_may_follow_the_vertices(tmp_path):
+    for encoding, faces in (("ascii", b"3 0 1 2\n"), ("binary_little_endian", b"\x03" + bytes(8) + b"\1\0\0\0")):
+        write_ply(tmp_path / "1.ply", POINTS, LABELS, encoding)
+        swap(tmp_path / "1.ply", b"face 0", b"face 1")
+        (tmp_path / "1.ply").write_bytes((tmp_path / "1.ply").read_bytes() + faces)
+        same(tmp_path / "1.ply")
 
 
 def swap(path, old, new):

@@ -121,7 +121,7 @@ def test_scans_beside_sparse_poses_lose_no_frame():
     """Frames on the stamps of poses that are farther apart than `pose_gap_s`, scans a little later."""
     at_s = 2.0 * np.arange(3)
     poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
-    scans = Scans(at_s + 0.005, lambda number: None, OCCUPANCY_CLASSES)
+    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES)
     rig = Rig.load("fisheye6")
     log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans, {})
     plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
@@ -496,6 +496,7 @@ def test_a_log_without_a_point_within_reach_is_refused_before_anything_is_writte
     with pytest.raises(DataError) as caught:
         recorder(NPZ, log=log).record(tmp_path / "scenes")
     assert "all 2 frames have hardly any points, in the first of them " in str(caught.value)
+    assert str(caught.value).startswith(f"{min((log / 'npz').iterdir())}: ")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list((tmp_path / "scenes").glob("*"))

@@ -173,7 +173,8 @@ class RosBag(LogRecorder):
             cloud = cloud_of(message, options["label_field"], where)
             return ego_points(cloud, ego_from_lidar, classes, options["own_car_m"], where)
 
-        return Scans(topic.times_s, read, classes.table), plain_options({**options, "pose": ego_from_lidar}, classes)
+        scans = Scans(topic.times_s, read, lambda number: bag.where(topic.addresses[number]), classes.table)
+        return scans, plain_options({**options, "pose": ego_from_lidar}, classes)
 
 
 class Bag:
@@ -239,9 +240,13 @@ class Bag:
         times_s = sorted(stamps)
         return Topic(np.array(times_s), tuple(stamps[time_s] for time_s in times_s), frame or "")
 
+    def where(self, address: Address) -> str:
+        """Return the file, topic and time of a message, for error messages."""
+        return f"{self.path}, {address.topic} at {address.received_ns} ns"
+
     def message(self, address: Address) -> tuple[Any, str]:
         """Return a message and where it is, for error messages; raise DataError if it cannot be read."""
-        where = f"{self.path}, {address.topic} at {address.received_ns} ns"
+        where = self.where(address)
         span = (address.received_ns, address.received_ns + 1)
         for place, (_, message) in enumerate(self._messages(address.topic, *span)):
             if place == address.place:

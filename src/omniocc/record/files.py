@@ -153,7 +153,7 @@ class LogFiles(LogRecorder):
             cloud = read_cloud(path, options["label_field"], options["columns"])
             return ego_points(cloud, options["ego_from_lidar"], classes, options["own_car_m"], str(path))
 
-        return Scans(files.times_s, read, classes.table), [
+        return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table), [
             *plain_options(options, classes),
             listing(files, self.folder),
         ]
@@ -258,7 +258,7 @@ def _time_of(path: Path, folder: Path, unit: TimeUnit, table: Mapping[str, float
             if key in table:
                 return table[key]
         raise DataError(f"{path}: the CSV of times does not list it")
-    numbers = re.findall(r"\d+(?:\.\d+)?", path.stem)
+    numbers = re.findall(r"[0-9]+(?:\.[0-9]+)?", path.stem)
     if not numbers:
         raise DataError(f"{path}: its name has no number that could be its time; give times=<CSV of time,file>")
     return seconds(numbers[-1], unit)

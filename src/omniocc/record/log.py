@@ -27,11 +27,13 @@ class Scans:
     Attributes:
         times_s: (S,) increasing.
         read: returns the points of a scan by its number, ego frame.
+        name: returns the file or message of a scan by its number, for messages.
         classes: of the points; two if they have none.
     """
 
     times_s: Float64[np.ndarray, " S"]
     read: Callable[[int], Points]
+    name: Callable[[int], str]
     classes: ClassTable
 
 

@@ -11,6 +11,7 @@ from omniocc.camera.protocol import numbers
 from omniocc.data.formats.pose_table import W_FIRST, W_LAST, TimeUnit, read_table
 from omniocc.data.formats.poses import quaternion_pose, rigid
 from omniocc.errors import DataError
+from omniocc.io import number_of
 
 PosesFormat = Literal["csv", "tum", "kitti"]
 PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -34,11 +35,9 @@ class TimedPoses(NamedTuple):
 
 def seconds(text: str, unit: TimeUnit) -> float:
     """Return a time stamp in s; whole numbers are divided exactly; raise ValueError if it is no finite number."""
-    text = text.strip()
-    value = int(text) / PER_SECOND[unit] if text.lstrip("-").isdigit() else float(text) / PER_SECOND[unit]
-    if not np.isfinite(value):
-        raise ValueError(f"{text} is not finite")
-    return value
+    value = number_of(text)
+    digits = text.strip()
+    return (int(digits) if digits.lstrip("-").isdigit() else value) / PER_SECOND[unit]
 
 
 def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path | None = None) -> TimedPoses:
@@ -80,7 +79,7 @@ def _checked(where: str, read: Callable[[], Any]) -> Any:
 
 
 def _pose(words: Sequence[str], kind: PosesFormat) -> Float64[np.ndarray, "4 4"]:
-    values = [float(word) for word in words]
+    values = [number_of(word) for word in words]
     if len(values) == 7 and kind != "kitti":
         return quaternion_pose(values[3:], values[:3], "the pose")
     if len(values) in (12, 16) and kind != "tum":

@@ -179,8 +179,10 @@ def check_points(log: Log, plan: Plan, reach_m: float) -> None:
     Raises:
         DataError: naming the likely reason, before anything is written.
     """
-    why, count = "", 0 if plan.scans is None else len(plan.scans)
-    for number in range(count):
+    if plan.scans is None or log.scans is None:
+        return
+    why = ""
+    for number in range(len(plan.scans)):
         points = frame_points(log, plan, number)
         assert points is not None
         found, distance_m = out_of_reach(points.points_m, reach_m), distances_m(points.points_m)
@@ -188,7 +190,8 @@ def check_points(log: Log, plan: Plan, reach_m: float) -> None:
             return
         why = why or found
     if why:
-        raise DataError(f"{log.place}: all {count} frames have hardly any points, in the first of them {why}")
+        first = log.scans.name(int(plan.scans[0]))
+        raise DataError(f"{first}: all {len(plan.scans)} frames have hardly any points, in the first of them {why}")
 
 
 def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:

@@ -72,7 +72,10 @@ def test_images_are_scaled_and_must_be_those_of_the_calibration(tmp_path):
     for wrong in (b"", path.read_bytes()[:60]):
         path.write_bytes(wrong)
         with pytest.raises(DataError, match=r"front\.png: the file is no image, or damaged"):
-            read_image(path, None, (40, 24))
+            read_image(path, None, (40, 16))
+    cv2.imwrite(str(path), image[:1, :1])
+    with pytest.raises(DataError, match=r"front\.png: the image has 1x1 px, but its calibration is for 40x16 px, or a"):
+        read_image(path, None, (40, 16))
     assert scaled_size(1600, 900, 256) == (256, 144)
     assert scaled_size(1241, 376, 256) == scaled_size(1226, 370, 256) == (256, 80)
 

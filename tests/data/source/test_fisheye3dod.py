@@ -156,6 +156,7 @@ FOLDER = "train-Town01_Opt-ClearNoon-2024_09_23_11_44_45/ego0"
             "12345",
             r"Fisheye3DOD, scene 'train-Town01_Opt.*', frame 0: .*5 bytes",
         ),
+        (f"{FOLDER}/semantic_lidar/00026981.bin", "", r"frame 0: .*00026981\.bin: the file is empty; copy it again"),
         (f"{FOLDER}/fisheye_camera_left/00026981.png", "no", r"frame 0: .*00026981\.png: the file is no image"),
     ],
 )

@@ -225,6 +225,12 @@ def twofold(text, **other):
     return json.dumps([*rows, rows[0] | other])
 
 
+def first(text, **other):
+    """Return a table whose first record has `other` values."""
+    rows = json.loads(text)
+    return json.dumps([rows[0] | other, *rows[1:]])
+
+
 @pytest.mark.parametrize(
     ("table", "change", "message"),
     [
@@ -244,6 +250,20 @@ def twofold(text, **other):
         ("sample_data", lambda text: twofold(text, token="other"), r"two records of \('scene-0001-0', 'CAM_FRONT'\)"),
         ("sensor", lambda text: text.replace('"token"', '"token": "a", "token"'), "the key 'token' stands twice"),
         ("sensor", lambda text: text.replace("channel", "chanel"), r"sensor\.json: a record lacks .*'channel'"),
+        (
+            "sample",
+            lambda text: first(text, token=None),
+            r"sample\.json: the table is damaged: a record holds .* null: ",
+        ),
+        ("ego_pose", lambda text: first(text, rotation=None), r"ego_pose\.json: the table is damaged: .* null"),
+        ("ego_pose", lambda text: first(text, rotation=[[None] * 4]), r"ego_pose\.json: record .* are no pose"),
+        ("sample_data", lambda text: first(text, ego_pose_token=[[]]), r"sample_data\.json: a record lacks a value"),
+        ("sample_data", lambda text: "[7]", r"sample_data\.json: the table is damaged: a record holds no value"),
+        (
+            "calibrated_sensor",
+            lambda text: first(text, camera_intrinsic=[]),
+            r"calibrated_sensor\.json: a record lacks .*camera_intrinsic of .* is no 3x3 matrix",
+        ),
         ("sample", lambda text: "[" * 100_000, r"sample\.json: the table is damaged"),
     ],
 )

@@ -111,6 +111,8 @@ def test_impossible_rows_are_named(tmp_path, rows, message):
         ),
         ("calib/left/results_left.csv", "1,0,0\n", r"results_left\.csv: a pose has 3 numbers instead of 16"),
         ("calib/left/results_left.csv", ",".join(["2"] * 16), r"results_left\.csv: the matrix: the 3x3 part"),
+        ("calib/left/results_left.csv", "1_0" + ",0" * 15, r"results_left\.csv: '1_0' is no finite number"),
+        ("sequences/dataset_sence_8.yaml", "9: {matrix: ['١', 0]}", r"dataset_sence_8\.yaml: '١' is no finite number"),
         ("sequences/dataset_sence_8.yaml", "9: {headstamp: 1}", r"dataset_sence_8\.yaml: a frame has no 'matrix'"),
         ("sequences/dataset_sence_8.yaml", "[", r"dataset_sence_8\.yaml: "),
         ("sequences/dataset_sence_8.yaml", "9: {}\n9: {}", r"dataset_sence_8\.yaml: .*line 2: the key 9 is in line 1"),

@@ -2,6 +2,7 @@
 
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -162,6 +163,10 @@ def test_submissions_hold_the_ids_of_the_devkit(root, tmp_path):
     np.testing.assert_array_equal(scene.read_prediction(path), classes)
 
 
+def png(width, height):
+    return cv2.imencode(".png", np.full((height, width, 3), 90, np.uint8))[1].tobytes()
+
+
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
@@ -171,6 +176,12 @@ def test_submissions_hold_the_ids_of_the_devkit(root, tmp_path):
         ("voxels/000000.label", np.full(2_097_152, 47, "<u2").tobytes(), r"class ids \[47\] are not in"),
         ("velodyne/000000.bin", b"12345", r"frame 0: .*000000\.bin: the file has 5 bytes"),
         ("image_2/000000.png", b"no image", r"000000\.png: the file is no image"),
+        ("image_2/000000.png", png(1, 1), r"000000\.png: the image has 1x1 px, but calib\.txt has its middle near"),
+        ("image_2/000000.png", png(248, 37), r"000000\.png: the image has 248x37 px, but calib\.txt has its middle"),
+        ("velodyne/000000.bin", b"", r"frame 0: .*000000\.bin: the file is empty"),
+        ("poses.txt", b"1_0 0 0 0 0 1 0 0 0 0 1 0\n", r"poses\.txt, line 1: '1_0' is no finite number"),
+        ("poses.txt", b"1 0 0 1e300 0 1 0 0 0 0 1 0\n", r"poses\.txt, line 1: the pose: its position is 1e\+300 m"),
+        ("calib.txt", b"P2: 1_0 0 0 0 0 1 0 0 0 0 1 0\n", r"calib\.txt, line 1: 'P2' are not 12 numbers"),
         ("poses.txt", b"1 0 0\n", r"poses\.txt, line 1: it has 3 numbers"),
         ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 2 0\n", r"poses\.txt, line 1: the pose: the 3x3 part .* is no rotation"),
         ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0 1\n" * 12, r"poses\.txt, line 1: it has 13 numbers"),

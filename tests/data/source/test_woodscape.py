@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -87,6 +88,10 @@ def test_the_ego_origin_is_above_the_road(root):
         ("calibration/00000_FV.json", json.dumps(FRONT).replace("0.5941", "9").encode(), r"extrinsic: .* are no pose"),
         ("calibration/00000_FV.json", json.dumps(FRONT).replace("translation", "translation used in CARLA").encode(),
          "left-handed"),
+        ("calibration/00000_FV.json", json.dumps(FRONT | {"intrinsic": FRONT["intrinsic"] | {"k1": "3_39.7"}}).encode(),
+         r"00000_FV\.json: '3_39\.7' is no finite number"),
+        ("rgb_images/00000_FV.png", cv2.imencode(".png", np.zeros((1, 1, 3), np.uint8))[1].tobytes(),
+         r"frame 0: .*00000_FV\.png: the image has 1x1 px"),
         ("rgb_images/00000_FV.png", b"no", r"frame 0: .*00000_FV\.png: the file is no image"),
         ("semantic_annotations/gtLabels/00000_FV.png", b"", r"00000_FV\.png: the file is no image"),
     ],

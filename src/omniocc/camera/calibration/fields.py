@@ -12,11 +12,10 @@ from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
-from omniocc.errors import DataError
+from omniocc.errors import DataError, shortened
 from omniocc.images import read_mask
+from omniocc.io import number_of
 
-LONGEST = 1000
-"""Characters of a message that are shown: it may hold a value of a thousand lines."""
 ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
 
 
@@ -36,9 +35,7 @@ def naming(place: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        text = str(error)
-        shown = text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
-        raise ValueError(f"{place}: {shown}") from error
+        raise ValueError(f"{place}: {shortened(str(error))}") from error
 
 
 def mapping(value: Any, what: str) -> dict[str, Any]:
@@ -139,9 +136,9 @@ def read_mask_of(name: str, file: Path, camera: Camera) -> Bool[Tensor, "height 
 def _number(key: str, value: Any) -> float:
     if isinstance(value, str):  # PyYAML reads 1e-5, without a point, as text
         try:
-            value = float(value)
+            value = number_of(value)
         except ValueError:
-            raise ValueError(f"{key} is {value!r}; it must be a number") from None
+            raise ValueError(f"{key} is {shortened(value)!r}; it must be a finite number") from None
     return finite(key, value)
 
 

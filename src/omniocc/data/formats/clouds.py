@@ -1,6 +1,7 @@
 """Files of LiDAR points: `.bin` (KITTI), `.pcd`, `.ply` and `.npz`."""
 
 import io
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,8 @@ FAR_M = 256.0
 """Median distance of points that no LiDAR on a car measures; points beyond are not even stored."""
 CLUSTERED = 0.2
 """Spread of points in world coordinates about their middle as a fraction of their distance, at most."""
+MOST_COLUMNS = 32
+"""Largest number of columns of an array of points; one with more has a column for each point."""
 LZF_RATIO = 88
 """Largest ratio of LZF, in which three bytes stand for up to 264."""
 PLY_TYPES = {
@@ -34,6 +37,14 @@ PLY_TYPES = {
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+PCD_TYPES = {
+    kind + size: f"<{kind.lower()}{size}"
+    for kind, sizes in (("F", "48"), ("I", "1248"), ("U", "1248"))
+    for size in sizes
+}
+"""Types by what TYPE and SIZE of the header of a PCD file state."""
+NOTHING = b"\0 \t\r\n"
+"""Bytes that may follow the last point."""
 
 
 class RawCloud(NamedTuple):
@@ -67,9 +78,21 @@ def read_scan(path: Path, columns: int) -> tuple[Float32[np.ndarray, "P 3"], Boo
     Raises:
         DataError: if the file is missing or of another size.
     """
-    rows = read_array(path, "<f4", (-1, columns))[:, :3]
+    rows = read_rows(path, columns)[:, :3]
     kept = came_back(rows)
     return rows[kept], kept
+
+
+def read_rows(path: Path, columns: int) -> Float32[np.ndarray, "R columns"]:
+    """Return the float32 numbers of a scan of a dataset, in which every LiDAR saw something.
+
+    Raises:
+        DataError: if the file is missing, empty or of another size.
+    """
+    rows = read_array(path, "<f4", (-1, columns))
+    if not len(rows):
+        raise DataError(f"{path}: the file is empty; copy it again")
+    return rows
 
 
 def distances_m(points_m: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " F"]:
@@ -138,10 +161,15 @@ def _labels(
     name = next((name for name in names if name in fields), None)
     if name is not None:
         if fields[name].shape != kept.shape:
-            raise DataError(f"{path}: its field '{name}' is no whole number for each of {len(kept)} points")
+            shape = f"has the shape {fields[name].shape}"
+            raise DataError(
+                f"{path}: its field '{name}' {shape}; it must be one whole number for each of {len(kept)} points"
+            )
         return whole_numbers(fields[name][kept], f"{path}: its field '{name}'")
     beside = path.with_suffix(LABEL_SUFFIX)
-    return (read_array(beside, "<u4", kept.shape)[kept] & 0xFFFF).astype(np.int64) if beside.is_file() else None
+    if not os.path.lexists(beside):
+        return None
+    return (read_array(beside, "<u4", kept.shape)[kept] & 0xFFFF).astype(np.int64)
 
 
 def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
@@ -164,7 +192,7 @@ def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Return x, y, z of the array `points` (P, 3 or more), and the other arrays of one number for each point.
+    """Return x, y, z of the array `points` (P, 3 or more), and the other arrays.
 
     Raises:
         DataError: naming the file and what is wrong with it.
@@ -176,10 +204,12 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     except Exception as error:  # zipfile, zlib and numpy have errors of their own
         raise DataError(f"{path}: the file is damaged ({error})") from error
     points = arrays.pop("points", None)
-    if points is None or points.ndim != 2 or points.shape[1] < 3:
+    if points is None or points.ndim != 2 or not 3 <= points.shape[1] <= MOST_COLUMNS:
         shape = "is missing" if points is None else f"has the shape {points.shape}"
-        raise DataError(f"{path}: its array 'points' {shape}; it must be (P, 3)")
-    others = {name: values for name, values in arrays.items() if values.shape == points.shape[:1]}
+        raise DataError(f"{path}: its array 'points' {shape}; it must be (P, 3), a row for each point")
+    if points.dtype.kind not in "iuf":
+        raise DataError(f"{path}: its array 'points' is of {points.dtype}; it must hold numbers, m")
+    others = {name: rows for name, rows in arrays.items() if name not in "xyz" or rows.shape == points.shape[:1]}
     named_once((*"xyz", *others), f"{path}: among the columns of 'points' and the arrays")
     return dict(zip("xyz", points.T, strict=False)) | others
 
@@ -197,7 +227,7 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     lines = [line.split() for line in found[1].decode("ascii", "replace").splitlines() if line.split()]
     encoding = next((line[1] for line in lines if line[0] == "format" and len(line) > 1), "none")
     elements = [place for place, line in enumerate(lines) if line[0] == "element"]
-    if not elements or lines[elements[0]][1] != "vertex":
+    if not elements or lines[elements[0]][1:2] != ["vertex"]:
         raise DataError(f"{path}: the first element of the file must be 'vertex'")
     rows = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
     properties = [line for line in rows if line[0] == "property"]
@@ -207,12 +237,13 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     if not properties:
         raise DataError(f"{path}: its vertices have no properties")
     dtype = np.dtype([(line[2], "<" + PLY_TYPES[line[1]]) for line in properties])
-    count, body = _whole(path, "element vertex", lines[elements[0]][-1]), content[found.end() :]
+    count, body = _whole(path, "element vertex", " ".join(lines[elements[0]][2:])), content[found.end() :]
+    alone = all(lines[place][2:] == ["0"] for place in elements[1:])
     if encoding == "ascii":
-        return _from_text(path, body, dtype, count)
+        return _from_text(path, body, dtype, count, alone)
     if encoding != "binary_little_endian":
         raise DataError(f"{path}: the format {encoding} cannot be read; write ascii or binary_little_endian")
-    return _from_bytes(path, body, dtype, count)
+    return _from_bytes(path, body, dtype, count, alone)
 
 
 def read_pcd(path: Path) -> dict[str, np.ndarray]:
@@ -230,14 +261,21 @@ def read_pcd(path: Path) -> dict[str, np.ndarray]:
     named_once([line[0] for line in lines], f"{path}: the line of its header")
     header = {line[0]: line[1:] for line in lines}
     dtype = _pcd_dtype(path, header)
-    count = _whole(path, "POINTS", " ".join(header.get("POINTS", [])))
+    count, width, height = (
+        _whole(path, name, " ".join(header.get(name, default)))
+        for name, default in (("POINTS", []), ("WIDTH", header.get("POINTS", [])), ("HEIGHT", ["1"]))
+    )
+    if width * height != count:
+        raise DataError(
+            f"{path}: WIDTH {width:,} and HEIGHT {height:,} of the header are not those of {count:,} points"
+        )
     body, encoding = content[found.end() :], found[1].decode()
     if encoding == "ascii":
         return _from_text(path, body, dtype, count)
     if encoding == "binary":
         return _from_bytes(path, body, dtype, count)
     if encoding == "binary_compressed":
-        return _from_columns(path, _decompressed(path, body, count * dtype.itemsize), dtype, count)
+        return _from_columns(path, _decompressed(path, body, count, count * dtype.itemsize), dtype, count)
     raise DataError(f"{path}: DATA {encoding} cannot be read; known are ascii, binary and binary_compressed")
 
 
@@ -248,10 +286,10 @@ def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
         raise DataError(f"{path}: FIELDS, SIZE, TYPE and COUNT of the header do not agree")
     parts: list[tuple[str, str, tuple[int, ...]]] = []
     for place, (name, size, kind, count) in enumerate(zip(*columns, counts, strict=True)):
-        if kind not in "FIU" or size not in "1248" or (kind == "F" and size not in "48"):
+        if kind + size not in PCD_TYPES:
             raise DataError(f"{path}: the field {name} of type {kind} and {size} bytes cannot be read")
         times = _whole(path, "COUNT", count)
-        parts.append((f"_{place}" if name == "_" else name, f"<{kind.lower()}{size}", () if times == 1 else (times,)))
+        parts.append((f"_{place}" if name == "_" else name, PCD_TYPES[kind + size], () if times == 1 else (times,)))
     named_once([name for name, _, _ in parts], f"{path}: the field")
     try:
         return np.dtype(parts)
@@ -259,12 +297,17 @@ def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
         raise DataError(f"{path}: FIELDS, SIZE, TYPE and COUNT of the header are impossible ({error})") from error
 
 
-def _from_text(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
+def _from_text(path: Path, body: bytes, dtype: np.dtype, count: int, alone: bool = True) -> dict[str, np.ndarray]:
     width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
     if len(body) + 1 < 2 * width * count:  # a digit and what separates it from the next
         raise DataError(f"{path}: {len(body):,} bytes cannot hold the {count:,} points that the header names")
+    lines = body.split(b"\n", count)
+    text = b" ".join(lines[:count])
+    _check_rest(path, lines[count] if alone and len(lines) > count else b"", count)
     try:
-        rows = np.array(b" ".join(body.split(b"\n", count)[:count]).split(), np.float64).reshape(count, width)
+        if b"_" in text:
+            raise ValueError("Python alone reads 1_0 as a number")
+        rows = np.array(text.split(), np.float64).reshape(count, width)
     except ValueError as error:
         raise DataError(f"{path}: the points are not {count} lines of {width} numbers; it is damaged") from error
     fields, start = {}, 0
@@ -275,12 +318,19 @@ def _from_text(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str
     return fields
 
 
-def _from_bytes(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
+def _from_bytes(path: Path, body: bytes, dtype: np.dtype, count: int, alone: bool = True) -> dict[str, np.ndarray]:
     if len(body) < count * dtype.itemsize:
         expected = f"{count * dtype.itemsize:,} for {count} points"
         raise DataError(f"{path}: {len(body):,} bytes follow the header instead of {expected}; it is damaged")
+    _check_rest(path, body[count * dtype.itemsize :] if alone else b"", count)
     table = np.frombuffer(body, dtype, count)
     return {name: table[name] for name in dtype.names or ()}
+
+
+def _check_rest(path: Path, rest: bytes, count: int) -> None:
+    """Raise DataError if something follows the last point: then the header does not describe the points."""
+    if rest.strip(NOTHING):
+        raise DataError(f"{path}: {len(rest):,} bytes are left over after the {count:,} points that the header names")
 
 
 def _from_columns(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
@@ -295,7 +345,7 @@ def _from_columns(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[
     return fields
 
 
-def _decompressed(path: Path, body: bytes, expected: int) -> bytes:
+def _decompressed(path: Path, body: bytes, count: int, expected: int) -> bytes:
     if len(body) < 8:
         raise DataError(f"{path}: the file is cut short")
     packed, whole = np.frombuffer(body[:8], "<u4").tolist()
@@ -306,6 +356,7 @@ def _decompressed(path: Path, body: bytes, expected: int) -> bytes:
         )
     if len(body) < 8 + packed:
         raise DataError(f"{path}: {len(body) - 8:,} compressed bytes instead of {packed:,}; it is damaged")
+    _check_rest(path, body[8 + packed :], count)
     result = np.empty(whole, np.uint8)
     if _lzf(np.frombuffer(body, np.uint8, packed, 8), result) != whole:
         raise DataError(f"{path}: the compressed points are damaged")

@@ -16,6 +16,8 @@ from omniocc.io import check_regular, text_of
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
 """Largest relative difference between the aspect ratio of an image and that of its calibration: sizes are rounded."""
+HEIGHT_STEP = 8
+"""Heights of scaled images are multiples of it, px."""
 SHOWN = 8
 """Wrong values that a message names."""
 LARGEST_WHOLE = 2.0**53
@@ -177,7 +179,7 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
 
     Args:
         path: the file.
-        size: (width, height), px, that the calibration is for; None: any.
+        size: (width, height), px, that the calibration is for; None: any of the aspect ratio of the result.
         scaled: (width, height) of the result, px.
         remedy: what to do when the file is missing.
 
@@ -186,9 +188,12 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
     """
 
     def check_size(found: tuple[int, int]) -> None:
-        if size is not None and found != size:
-            found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size))
-            raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px")
+        ratio = found[0] / found[1] / (scaled[0] / scaled[1])
+        fits = found == size if size else abs(ratio - 1) <= SHAPE_TOLERANCE + HEIGHT_STEP / 2 / scaled[1]
+        if not fits:
+            found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size or scaled))
+            whole = "" if size else ", or a multiple"
+            raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px{whole}")
 
     return scaled_to(rgb_of(content_of(path, remedy), str(path), fits=check_size), scaled)
 
@@ -220,7 +225,7 @@ def class_table(known: dict[int, int]) -> np.ndarray:
 
 def scaled_size(width: int, height: int, scaled_width: int) -> tuple[int, int]:
     """Return width and height (px) of an image scaled to a width; the height is a multiple of 8."""
-    return scaled_width, max(8, round(height * scaled_width / width / 8) * 8)
+    return scaled_width, max(HEIGHT_STEP, round(height * scaled_width / width / HEIGHT_STEP) * HEIGHT_STEP)
 
 
 def check_root(root: str, expected: Sequence[str], how: str, key: str = "data.source.root=") -> Path:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from omniocc.data.formats.clouds import came_back
-from omniocc.data.formats.files import read_array, read_text
+from omniocc.data.formats.clouds import came_back, read_rows
+from omniocc.data.formats.files import read_text
 from omniocc.data.formats.unreal import UnrealPose, pose_of
 from omniocc.errors import DataError
+from omniocc.io import number_of
 
 METADATA = "sensor_metadata.txt"
 NUMBER = r"([-+.\deE]+)"
@@ -37,7 +38,7 @@ def read_poses(folder: Path) -> dict[int, Float64[np.ndarray, "4 4"]]:
         if int(frame) in poses:
             raise DataError(f"{path}: frame {frame} stands twice; keep one")
         try:
-            poses[int(frame)] = pose_of(UnrealPose(*map(float, values)))
+            poses[int(frame)] = pose_of(UnrealPose(*map(number_of, values)))
         except ValueError as error:
             raise DataError(f"{path}: frame {frame}: {error}") from error
     if not poses:
@@ -55,7 +56,7 @@ def read_points(path: Path) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarra
     Raises:
         DataError: if the file is missing or damaged, or its last numbers are no tags.
     """
-    rows = read_array(path, "<f4", (-1, 6))
+    rows = read_rows(path, 6)
     rows = rows[came_back(rows[:, :3])]
     tags, floats = rows[:, 5].copy().view("<u4"), rows[:, 5]
     if tags.max(initial=0) > 255:

@@ -13,7 +13,7 @@ from omniocc.data.formats.files import class_table, map_classes, read_array, rea
 from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, number_of
 
 SHAPE = (256, 256, 32)
 CELLS = 256 * 256 * 32
@@ -103,7 +103,7 @@ def read_calibration(path: Path) -> dict[str, Float64[np.ndarray, "3 4"]]:
         if name.strip() in found:
             raise DataError(f"{path}, line {number}: '{name.strip()}:' stands twice; keep one")
         try:
-            found[name.strip()] = np.array(values.split(), np.float64).reshape(3, 4)
+            found[name.strip()] = np.reshape([number_of(word) for word in values.split()], (3, 4))
         except ValueError as error:
             raise DataError(f"{path}, line {number}: '{name}' are not 12 numbers") from error
     if "Tr" not in found:

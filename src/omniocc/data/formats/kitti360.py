@@ -3,6 +3,7 @@
 Formats: https://github.com/autonomousvision/kitti360Scripts
 """
 
+import re
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,7 +21,7 @@ from omniocc.data.formats.files import decode, read_text
 from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
-from omniocc.io import parse_yaml
+from omniocc.io import number_of, parse_yaml
 from omniocc.progress import Progress
 
 SEQUENCE = "2013_05_28_drive_00{}_sync"
@@ -51,7 +52,7 @@ def read_rows(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
         name, _, values = line.rpartition(":")
         try:
             if values.strip():
-                row = np.array(values.split(), np.float64)
+                row = np.array([number_of(word) for word in values.split()])
                 if name.strip() in rows:
                     raise DataError(f"{path}, line {number}: the line '{name.strip()}' stands twice; keep one")
                 rows[name.strip()] = row
@@ -152,7 +153,7 @@ def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np
     rows, poses = read_matrices(path, ("frame",))
     numbers: dict[int, str] = {}
     for row in rows:
-        if not row.keys[0].isdigit() or int(row.keys[0]) in numbers:
+        if not re.fullmatch("[0-9]{1,15}", row.keys[0]) or int(row.keys[0]) in numbers:
             raise DataError(f"{row.where}: '{row.keys[0]}' is no number of a frame, or that of another line")
         numbers[int(row.keys[0])] = row.where
     return np.array(list(numbers), np.int64), poses

@@ -5,6 +5,7 @@ Format: https://github.com/nutonomy/nuscenes-devkit/blob/master/docs/schema_nusc
 
 import json
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError, first_line
+from omniocc.errors import DataError, first_line, shortened
 from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
@@ -23,6 +24,8 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 CHUNK_BYTES = 1 << 22
 MIB = 1 << 20
+SHOWN = 200
+"""Characters of a wrong record that a message shows."""
 
 VALIDATION = (
     (3, 3), (12, 18), (35, 36), (38, 39), (92, 110), (221, 221), (268, 278), (329, 332), (344, 346), (519, 524),
@@ -100,6 +103,8 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
                     except json.JSONDecodeError:
                         place = begin  # the record goes on in the next chunk
                         break
+                    if not isinstance(record, dict) or None in record.values():
+                        raise ValueError(f"a record holds no value, or null: {shortened(str(record), SHOWN)}")
                     yield record
                 text = text[place:]
     except FileNotFoundError as error:
@@ -116,14 +121,21 @@ def once(path: Path, rows: Iterable[tuple[Key, Value]]) -> dict[Key, Value]:
         DataError: naming the table, and the key that stands twice or the value that a record lacks.
     """
     found: dict[Key, Value] = {}
-    try:
+    with _naming(path):
         for key, value in rows:
             if key in found:
                 raise DataError(f"{path}: there are two records of {key}; keep one")
             found[key] = value
+    return found
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the table whose records the block reads in the error about a value that is missing or wrong."""
+    try:
+        yield
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: a record lacks a value, or names one that is not there: {error}") from error
-    return found
 
 
 def _next(text: str, place: int, started: bool) -> int | None:
@@ -173,15 +185,15 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
         rows = (r for r in records(path, progress) if r["is_key_frame"] and r["sample_token"] in samples)
         of_sensors = ((channels[calibrated[r["calibrated_sensor_token"]]["sensor_token"]], r) for r in rows)
         taken = once(path, (((r["sample_token"], name), r) for name, r in of_sensors if name in wanted))
-        path, tokens = tables / "ego_pose.json", {r["ego_pose_token"] for r in taken.values()}
+        with _naming(path):
+            tokens = {r["ego_pose_token"] for r in taken.values()}
+        path = tables / "ego_pose.json"
         poses = once(path, ((r["token"], r) for r in records(path, progress) if r["token"] in tokens))
     ordered: dict[str, list[str]] = {}
     for token, (scene, _) in sorted(samples.items(), key=lambda item: item[1][1]):
         ordered.setdefault(scene, []).append(token)
-    try:
+    with _naming(tables / "sample_data.json"):
         return {name: _scene(tables, name, found, taken, calibrated, poses) for name, found in sorted(ordered.items())}
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{tables}: a record lacks a value: {error}") from error
 
 
 def _scene(
@@ -207,7 +219,7 @@ def _scene(
             "lidar_tokens": lidar["token"],
             "ego_from_camera": inverse(world_from_ego) @ np.array(world_from_then) @ np.array(mounted),
             "mounted": mounted,
-            "intrinsics": [calibrated[r["calibrated_sensor_token"]]["camera_intrinsic"] for r in cameras],
+            "intrinsics": [_intrinsics(tables, calibrated, r["calibrated_sensor_token"]) for r in cameras],
             "images": [r["filename"] for r in cameras],
             "size": [(r["width"], r["height"]) for r in cameras],
         }
@@ -216,10 +228,20 @@ def _scene(
     return KeyFrames(**{name: np.array(values) for name, values in columns.items()})
 
 
+def _intrinsics(tables: Path, calibrated: Rows, token: str) -> np.ndarray:
+    with _naming(tables / "calibrated_sensor.json"):
+        matrix = np.array(calibrated[token]["camera_intrinsic"], np.float64)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise ValueError(f"camera_intrinsic of {token} is no 3x3 matrix of numbers")
+        return matrix
+
+
 def _pose(tables: Path, table: str, rows: Rows, token: str) -> np.ndarray:
     if token not in rows:
         raise DataError(f"{tables / table}.json: the record {token} is missing")
-    try:
-        return quaternion_pose(rows[token]["rotation"], rows[token]["translation"], f"record {token}")
-    except ValueError as error:
-        raise DataError(f"{tables / table}.json: {error}") from error
+    with _naming(tables / f"{table}.json"):
+        rotation, translation_m = rows[token]["rotation"], rows[token]["translation"]
+        try:
+            return quaternion_pose(rotation, translation_m, f"record {token}")
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{tables / table}.json: {error}") from error

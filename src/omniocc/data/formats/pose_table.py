@@ -17,8 +17,8 @@ from jaxtyping import Float64
 
 from omniocc.data.formats.files import read_text
 from omniocc.data.formats.poses import rigid
-from omniocc.errors import DataError
-from omniocc.io import twice
+from omniocc.errors import LONGEST, DataError, shortened
+from omniocc.io import number_of, twice
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 Key = Literal["time", "frame", "file"]
@@ -102,6 +102,9 @@ def read_table(path: Path, keys: Sequence[Key], order: Sequence[str] = ()) -> li
         if line.strip(" \t;,")
     ]
     rows = [(where, _cells(line, where)) for where, line in lines if not line.startswith("#")]
+    for where, cells in rows:
+        if (longest := max(map(len, cells))) > LONGEST:
+            raise DataError(f"{where}: a cell has {longest:,} characters; it must have at most {LONGEST:,}")
     header = None
     if rows and not any(map(_is_number, rows[0][1])):
         header, *rows = rows
@@ -165,7 +168,7 @@ def _meaning(cell: str) -> tuple[str | None, str]:
 
 def _columns(where: str, header: Sequence[str], keys: Sequence[Key], order: Sequence[str]) -> _Columns:
     """Return what a header says; raise DataError naming it if a column is missing, doubled or in another unit."""
-    meanings = [_meaning(cell) for cell in header]
+    meanings, shown = [_meaning(cell) for cell in header], shortened(",".join(header))
     places: dict[str, int] = {}
     for place, (meaning, _) in enumerate(meanings):
         places.setdefault(meaning or "", place)
@@ -173,12 +176,12 @@ def _columns(where: str, header: Sequence[str], keys: Sequence[Key], order: Sequ
     pose = _pose_names(places) if order else []
     if missing := [name for name in [*chosen, *pose] if name not in places]:
         raise DataError(
-            f"{where}: the header '{','.join(header)}' names no column {', '.join(missing)}; give "
+            f"{where}: the header '{shown}' names no column {', '.join(missing)}; give "
             f"{','.join([*keys, *order])}{' or m00,m01 to m23 of a matrix' * bool(order)}, in any order"
         )
     used = [name for name, _ in meanings if name in (*chosen, *pose)]
     if name := twice(name.lower() for name in header if name) or twice(used):
-        raise DataError(f"{where}: the header '{','.join(header)}' names the column '{name}' twice; keep one")
+        raise DataError(f"{where}: the header '{shown}' names the column '{name}' twice; keep one")
     units = {name: meanings[places[name]][1] for name in used}
     for name in "xyz":
         if not re.fullmatch("(m|met(er|re)s?)?", units.get(name, "")):
@@ -214,12 +217,13 @@ def read_matrices(path: Path, keys: Sequence[Key] = ()) -> tuple[list[Row], Floa
     Raises:
         DataError: naming the line that is no pose.
     """
-    rows = read_table(path, keys, W_FIRST)
+    rows, matrices = read_table(path, keys, W_FIRST), []
     for row in rows:
         try:
             if len(row.pose) != 12:
                 raise ValueError(f"it has {len(row.pose)} numbers of a pose instead of the 12 of a matrix")
-            rigid(np.array(row.pose, np.float64).reshape(3, 4), "the pose")
+            matrices.append(np.reshape([number_of(word) for word in row.pose], (3, 4)))
+            rigid(matrices[-1], "the pose")
         except ValueError as error:
             raise DataError(f"{row.where}: {error}") from error
-    return rows, rigid(np.array([row.pose for row in rows], np.float64).reshape(-1, 3, 4), str(path))
+    return rows, rigid(np.reshape(matrices, (-1, 3, 4)), str(path))

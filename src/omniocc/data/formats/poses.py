@@ -6,6 +6,8 @@ import numpy as np
 
 TOLERANCE = 1e-3
 """Largest error of a rotation that is taken for rounding, and mended."""
+FARTHEST_M = 1e8
+"""Largest coordinate of a position, in absolute value: no frame of a map, not even of the Earth's middle, has more."""
 RIGID_TOLERANCE = 1e-6
 """Largest error of the poses of a source."""
 SHORTEST_STEP_S = 1e-6
@@ -21,8 +23,10 @@ def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], n
     q, t = np.asarray(rotation, np.float64), np.asarray(translation_m, np.float64)
     length = float(np.linalg.norm(q))
     if q.shape != (4,) or t.shape != (3,) or not np.isfinite(t).all() or not abs(length - 1) < TOLERANCE:
-        reason = f"the quaternion's length is {length:.4g}" if np.isfinite([*q, *t]).all() else "a number is not finite"
+        finite = np.isfinite(q).all() and np.isfinite(t).all()
+        reason = f"the quaternion's length is {length:.4g}" if finite else "a number is not finite"
         raise ValueError(f"{name}: rotation {list(rotation)}, translation {list(translation_m)} are no pose ({reason})")
+    check_position(t, name)
     w, x, y, z = q / length
     pose = np.eye(4)
     pose[:3, :3] = [
@@ -34,6 +38,12 @@ def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], n
     return pose
 
 
+def check_position(position_m: np.ndarray, name: str) -> None:
+    """Raise ValueError beginning with `name` if a finite position, (..., 3), is nowhere on Earth."""
+    if (farthest_m := float(np.abs(position_m).max(initial=0))) > FARTHEST_M:
+        raise ValueError(f"{name}: its position is {farthest_m:.3g} m away; positions are in m, at most {FARTHEST_M:g}")
+
+
 def rigid(matrix: np.ndarray, name: str) -> np.ndarray:
     """Return poses (..., 3 or 4, 4) as (..., 4, 4) float64 with exact rotations: files round them to a few digits.
 
@@ -43,6 +53,7 @@ def rigid(matrix: np.ndarray, name: str) -> np.ndarray:
     given = np.asarray(matrix, np.float64)
     if not np.isfinite(given).all():
         raise ValueError(f"{name}: a value of the pose is not finite")
+    check_position(given[..., :3, 3], name)
     left, _, right = np.linalg.svd(given[..., :3, :3])
     nearest = left @ right
     error = float(np.abs(nearest - given[..., :3, :3]).max(initial=0))

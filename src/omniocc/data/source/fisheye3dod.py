@@ -169,7 +169,7 @@ class Fisheye3DODScene(DatasetScene):
     def files(self) -> list[int]:
         """Return the numbers of all files of the LiDAR, in order."""
         names = (path.stem for path in (self.folder / LIDAR).glob("*.bin"))
-        return sorted(int(name) for name in names if name.isdigit())
+        return sorted(int(name) for name in names if name.isascii() and name.isdigit())
 
     @cached_property
     def numbers(self) -> list[int]:

@@ -35,7 +35,7 @@ from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
-from omniocc.io import parse_yaml, twice
+from omniocc.io import number_of, parse_yaml, twice
 
 CAMERAS = ("front", "left", "right", "back")
 SIZE = (1920, 1080)
@@ -145,7 +145,7 @@ class ParkOccScene(OwnGridScene):
     @cached_property
     def numbers(self) -> list[str]:
         """Return the names of the frames' folders, in the order of their numbers."""
-        found = [path.name for path in self.folder.iterdir() if path.name.isdigit()]
+        found = [path.name for path in self.folder.iterdir() if path.name.isascii() and path.name.isdigit()]
         return sorted((name for name in found if int(name) in self.poses), key=int)
 
     @cached_property
@@ -231,7 +231,7 @@ def read_camera(folder: Path, name: str) -> tuple[OCam, Float64[np.ndarray, "4 4
 
 def as_pose(values: Any) -> Float64[np.ndarray, "4 4"]:
     """Return 16 numbers, nested or not, as a matrix; raise ValueError if there are others."""
-    numbers = np.asarray(values, np.float64)
-    if numbers.size != 16:
-        raise ValueError(f"a pose has {numbers.size} numbers instead of 16")
-    return numbers.reshape(4, 4)
+    numbers = [number_of(str(value)) for value in np.asarray(values, object).ravel()]
+    if len(numbers) != 16:
+        raise ValueError(f"a pose has {len(numbers)} numbers instead of 16")
+    return np.reshape(numbers, (4, 4))

@@ -33,6 +33,8 @@ from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
 
 CAMERAS = ("image_2", "image_3")
+OFF_CENTRE = 0.25
+"""Distance of the principal point from the middle of an image, as a fraction of its size, in no camera of KITTI."""
 WHENCE = {
     "calib.txt": "KITTI odometry's archive of Velodyne scans", "poses.txt": "SemanticKITTI's archive of labels",
     "voxels": "SemanticKITTI's archive of voxels",
@@ -171,6 +173,11 @@ class KittiSequence(CompletionScene):
         cameras, poses = [], []
         for name, (width, height) in zip(self.cameras, self.sizes, strict=True):
             k, pose = camera_of(self.calibration, int(name[-1]))
+            if not (abs(k[0, 2] / width - 0.5) < OFF_CENTRE and abs(k[1, 2] / height - 0.5) < OFF_CENTRE):
+                raise DataError(
+                    f"{self._file(name, 0, 'png')}: the image has {width}x{height} px, but calib.txt has its "
+                    f"middle near ({k[0, 2]:g}, {k[1, 2]:g}) px; it is damaged, or of another sequence"
+                )
             camera = Pinhole(width, height, (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2])))
             cameras.append(camera.resized(*scaled_size(width, height, self.image_width)))
             poses.append(torch.from_numpy(pose))

@@ -1,6 +1,7 @@
 """SSCBench-KITTI-360 as a source: the camera ahead, the two fisheyes where KITTI-360 is there, voxels of .2 m."""
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -138,7 +139,7 @@ class SSCBenchSequence(CompletionScene):
         The download has no poses now: then history can't be fused (`model/temporal=none`).
         """
         path = self.folder / "pose.txt"
-        if not path.exists():
+        if not os.path.lexists(path):
             return np.tile(np.eye(4), (len(self), 1, 1))
         known, poses = read_numbered_poses(path)
         place = {int(number): index for index, number in enumerate(known)}

@@ -28,7 +28,7 @@ from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
-from omniocc.io import parse_json
+from omniocc.io import number_of, parse_json
 
 VIEWS = ("FV", "RV", "MVL", "MVR")
 ORIGIN_M = (1.6, 0.0, 1.2)
@@ -165,10 +165,10 @@ def read_calibration(path: Path) -> tuple[RadialPolynomial, np.ndarray]:
         lens, place = plain["intrinsic"], plain["extrinsic"]
         if "translation" not in place:
             raise ValueError("extrinsic has no translation; SynWoodScape's left-handed calibrations are not supported")
-        width, height = int(lens["width"]), int(lens["height"])
+        width, height = (int(number_of(str(lens[side]))) for side in ("width", "height"))
         center = (lens["cx_offset"] + width / 2 - 0.5, lens["cy_offset"] + height / 2 - 0.5)
-        radii = tuple(float(lens[f"k{k}"]) for k in range(1, 5))
-        camera = RadialPolynomial(width, height, radii, center, float(lens["aspect_ratio"]), LENS_DEG)
+        radii = tuple(number_of(str(lens[f"k{k}"])) for k in range(1, 5))
+        camera = RadialPolynomial(width, height, radii, center, number_of(str(lens["aspect_ratio"])), LENS_DEG)
         x, y, z, w = place["quaternion"]
         return camera, quaternion_pose((w, x, y, z), place["translation"], "extrinsic")
     except (KeyError, TypeError, ValueError) as error:

@@ -15,14 +15,15 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float64
 from torch import Tensor
 
 from omniocc.data.formats.pose_table import W_FIRST, read_table
-from omniocc.data.formats.poses import TOLERANCE, quaternion_pose
+from omniocc.data.formats.poses import TOLERANCE, check_position, quaternion_pose
 from omniocc.errors import UserError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, number_of
 from omniocc.predict.input.images import closest
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -41,7 +42,10 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
         (name,) = row.keys
         if name in poses:
             raise UserError(f"{row.where}: frame '{name}' already has a pose; keep one")
-        poses[name] = _pose(row.pose, f"{row.where}, frame '{name}'")
+        try:
+            poses[name] = _pose(row.pose)
+        except ValueError as error:
+            raise UserError(f"{row.where}, frame '{name}': {error}") from error
     for name in frames:
         if name not in poses:
             hint = closest(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"
@@ -61,37 +65,33 @@ def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tenso
     atomic_write(path, "\n".join([*lines, ""]))
 
 
-def _pose(words: Sequence[str], where: str) -> Float64[Tensor, "4 4"]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise UserError(f"{where}: {error}; give numbers, separated by commas") from error
-    if not all(math.isfinite(value) for value in values):
-        raise UserError(f"{where}: the pose holds a value that is not finite: {', '.join(words)}")
+def _pose(words: Sequence[str]) -> Float64[Tensor, "4 4"]:
+    values = [number_of(word) for word in words]
     if len(values) == len(QUATERNION):
-        return _from_quaternion(values, where)
+        return _from_quaternion(values)
     if len(values) == len(MATRIX):
-        return _from_rows(values, where)
-    raise UserError(
-        f"{where}: {len(values)} numbers; give {len(QUATERNION)} ({','.join(QUATERNION)}) or the {len(MATRIX)} of a "
-        "4x4 matrix, row by row"
+        return _from_rows(values)
+    raise ValueError(
+        f"{len(values)} numbers; give {len(QUATERNION)} ({','.join(QUATERNION)}) or the {len(MATRIX)} of a 4x4 matrix, "
+        "row by row, separated by commas"
     )
 
 
-def _from_quaternion(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:
+def _from_quaternion(values: Sequence[float]) -> Float64[Tensor, "4 4"]:
     length = math.hypot(*values[3:])
     if abs(length - 1) > TOLERANCE:
-        raise UserError(f"{where}: the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
-    return torch.from_numpy(quaternion_pose(values[3:], values[:3], where))
+        raise ValueError(f"the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
+    return torch.from_numpy(quaternion_pose(values[3:], values[:3], "the pose"))
 
 
-def _from_rows(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:
+def _from_rows(values: Sequence[float]) -> Float64[Tensor, "4 4"]:
+    check_position(np.array(values[3:12:4]), "the pose")
     pose = torch.tensor(values, dtype=torch.float64).view(4, 4)
     rotation = pose[:3, :3]
     error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max())
     if error > TOLERANCE or float(torch.linalg.det(rotation)) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
-        raise UserError(
-            f"{where}: the matrix is not a rigid pose: its 3x3 part must be a rotation (off by {error:.3g}), its "
-            "last row 0,0,0,1"
+        raise ValueError(
+            f"the matrix is not a rigid pose: its 3x3 part must be a rotation (off by {error:.3g}), its last row "
+            "0,0,0,1"
         )
     return pose
