@@ -70,19 +70,23 @@ def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):
     assert line_on_lifter(own, Cuboid(x_m=(-50.0, 50.0))) is None
 
 
-def test_a_file_does_not_choose_where_data_are_made(tmp_path, monkeypatch):
-    def refused(*given, **places):
-        source = SimpleNamespace(**{"root": "data", "cache": None, "folder": tmp_path / "there"} | places)
+def test_a_file_does_not_choose_where_data_are_made(tmp_path, monkeypatch, smoke):
+    there = tmp_path / "there"
+    there.mkdir()
+    monkeypatch.chdir(there)
+
+    def taken(*given, **places):
+        source = build(smoke("data.source.workers=0").data.source)
+        source.root, source.cache = places.get("root", "data"), places.get("cache")
         check_places(Path("a.ckpt"), source, given)
 
-    monkeypatch.chdir(tmp_path)
-    refused()
-    refused(root=str(tmp_path / "data"), cache="cache")
-    refused("data.source.root", root="/elsewhere")
-    for key, place in [("root", "/elsewhere"), ("root", "../x"), ("cache", "/elsewhere"), ("root", "s3://bucket/x")]:
+    taken()
+    taken(root=str(there / "data"), cache="cache")
+    taken("data.source.root", root="/elsewhere")
+    for key, place in [("root", str(tmp_path)), ("root", "../x"), ("cache", "/elsewhere"), ("root", "s3://bucket/x")]:
         with pytest.raises(UserError, match=rf"^a.ckpt names {place} .*name it yourself: data.source.{key}={place}$"):
-            refused(**{key: place})
-    (tmp_path / "there").mkdir()
-    refused(root="/elsewhere")
-    with pytest.raises(UserError, match="http://"):
-        refused(root="http://example.org/x")
+            taken(**{key: place})
+    (tmp_path / build(smoke("data.source.workers=0").data.source).name).mkdir()
+    taken(root=str(tmp_path))
+    recorded = SimpleNamespace(root=str(tmp_path), folder=tmp_path / "omniocc")
+    check_places(Path("a.ckpt"), recorded, ())  # such a source only reads there

@@ -181,7 +181,7 @@ def rig_at_sizes(rig: Rig | None, images: Sequence[np.ndarray]) -> Rig | None:
     if rig is None or not images:
         return rig
     alone = [
-        Rig((camera,), rig.ego_from_camera[:1], ("",), (mask,)).resized(image.shape[1], image.shape[0])
+        Rig((camera,), rig.ego_from_camera[:1], ("camera",), (mask,)).resized(image.shape[1], image.shape[0])
         for camera, mask, image in zip(rig.cameras, rig.each_mask, images, strict=True)
     ]
     cameras = tuple(one.cameras[0] for one in alone)
