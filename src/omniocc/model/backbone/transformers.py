@@ -94,7 +94,7 @@ def build(config: PretrainedConfig, compared: list[str], weights: str | None) ->
     """
 
     def load(name: str, local: bool) -> nn.Module:
-        found = AutoConfig.from_pretrained(name, local_files_only=local)
+        found = AutoConfig.from_pretrained(name, local_files_only=local, trust_remote_code=False)
         require_equal(found, config, ["model_type", *compared], name)
         network = MODEL_FOR_BACKBONE_MAPPING[type(config)]
         return network.from_pretrained(name, config=with_all_stages(found), local_files_only=local)  # type: ignore

@@ -145,7 +145,8 @@ class RobustnessTest:
             self.data.source.prepare()
             return self.data.source
         own = self.task.config["data"]["source"]
-        places = {"themes": [place for place in self.trained_on["themes"] if place not in self.unseen]}
+        named = map(str, self.trained_on["themes"])  # from the file; nothing else than names is built from them
+        places = {"themes": [place for place in named if place not in self.unseen]}
         count = min(self.scenes, own["test_scenes"])
         numbers = {"train_scenes": 0, "val_scenes": 0, "test_scenes": count, "test_places": []}
         return build(OmegaConf.create({**own, **places, **numbers, **changes}))
