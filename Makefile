@@ -36,7 +36,7 @@ test-device: $(READY)  ## Train every row of the tables on a simulated second de
 test-faults: $(READY)  ## Record from a stand-in of a CARLA server that crashes, hangs and lies (minutes)
 	$(PYTEST) -m faults
 
-test-hostile: $(READY)  ## Open hundreds of hostile files by every command (HOSTILE_SEED=1: others; minutes)
+test-hostile: $(READY)  ## Open hundreds of hostile files by every command (HOSTILE_SEED=1: others, HOSTILE_ALL=1: a thousand; 15 minutes)
 	$(PYTEST) -m hostile tests/hostile
 
 test-cluster: $(READY)  ## Run multiruns on a Slurm of one node, training by torchrun and from S3 (INSTALL_SLURM=1: installs Slurm by apt-get)
