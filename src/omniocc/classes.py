@@ -24,7 +24,7 @@ class SemanticClass(NamedTuple):
     rgb: tuple[int, int, int]
 
 
-def ids_beyond(labels: np.ndarray, num_classes: int, first: int = FREE) -> list[int]:
+def ids_beyond(labels: np.ndarray, num_classes: int, first: int = FREE) -> list[int | float]:
     """Return some of the ids in labels that are neither 255 (unknown) nor whole numbers from `first` to the last class.
 
     Labels are of any shape and type: negative numbers, fractions and nan are no ids either.

@@ -1,14 +1,14 @@
 """Voxel labels by majority vote."""
 
 import torch
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int64, Shaped, UInt8
 from torch import Tensor
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN, ids_beyond
 
 
 def majority(
-    cells: Int64[Tensor, " P"], labels: UInt8[Tensor, " P"], num_cells: int, num_classes: int = NUM_CLASSES
+    cells: Int64[Tensor, " P"], labels: Shaped[Tensor, " P"], num_cells: int, num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, " cells"]:
     """Return the most frequent class of the points in each cell.
 
@@ -33,7 +33,7 @@ def majority(
 
 
 def downsample(
-    labels: UInt8[Tensor, "*B X Y Z"], factor: int, num_classes: int = NUM_CLASSES
+    labels: Shaped[Tensor, "*B X Y Z"], factor: int, num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, "*B x y z"]:
     """Return coarser labels: blocks of `factor` cells along every axis joined by majority, keeping thin objects.
 

@@ -90,6 +90,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise UserError(f"{path} names a stage that does not exist; there are {', '.join(STAGES)}")
     if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
         raise UserError(f"{path} is damaged: its weights are no tensors by name")
+    if any(value.is_complex() for value in weights.values()):
+        raise UserError(f"{path} is damaged: it has complex weights")
     step = content.get("global_step")
     if not isinstance(step, int | None):
         raise UserError(f"{path} is damaged: its number of steps is no whole number")
@@ -130,6 +132,8 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
         UserError: when they name classes of other packages, or classes that are not offered at their place.
         ConfigError: when they do not fit this version.
     """
+    if wrong := [part for part in parts if not isinstance(config.get(part), DictConfig)]:
+        raise UserError(f"{path} is damaged or of another version: its configuration has no {wrong[0]} to build")
     trusted = allowed(OWN_PACKAGE, packages)
     chosen = OmegaConf.create({part: config[part] for part in parts})
     tree = plain(chosen)

@@ -38,7 +38,7 @@ def naming(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {shortened(str(error))}") from error
 
 
-def mapping(value: Any, what: str) -> dict[str, Any]:
+def mapping(value: Any, what: str) -> dict[Any, Any]:
     """Return `value`; raise ValueError if it is no mapping, or empty."""
     if not isinstance(value, dict) or not value:
         raise ValueError(f"{what} is {value!r}; it must be a mapping with entries")
