@@ -24,9 +24,10 @@ def npz_arrays(file: Path | BinaryIO, names: Iterable[str] | None = None) -> dic
     if isinstance(file, Path):
         check_regular(file)
     with zipfile.ZipFile(file) as archive:
-        found = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        if name := twice(info.filename.removesuffix(".npy") for info in archive.infolist()):
+        stored = [info.filename.removesuffix(".npy") for info in archive.infolist()]
+        if name := twice(stored):
             raise ValueError(f"the array '{name}' stands twice")
+        found = dict(zip(stored, archive.infolist(), strict=True))
         wanted = {name: found[name] for name in (found if names is None else names) if name in found}
         total = sum(info.file_size for info in wanted.values())
         if total > LIMIT_BYTES:
