@@ -228,6 +228,9 @@ def test_kitti360_folder_has_poses(tmp_path, load):
     (tmp_path / "calib_cam_to_pose.txt").write_text(KITTI360_POSES.splitlines()[0])
     with pytest.raises(ValueError, match=r"calib_cam_to_pose\.txt: image_02.*missing.*image_00"):
         Rig.load(tmp_path)
+    (tmp_path / "image_02.yaml").write_text("")
+    with pytest.raises(ValueError, match=r"image_02\.yaml: the content is None; it must be a mapping"):
+        Rig.load(tmp_path)
 
 
 def test_omnimvs_config(tmp_path, load):

@@ -179,9 +179,12 @@ def test_error_names_file_camera_and_value(tmp_path, old, new, message):
         Rig.load(file)
 
 
-def test_error_names_a_calibration_that_is_missing(tmp_path):
-    (tmp_path / "car.yaml").write_text(f"cameras: {{left: {{calibration: left_lens.yaml, ego_from_camera: {POSE}}}}}")
-    with pytest.raises(ValueError, match=r"car\.yaml: camera 'left': calibration .*left_lens\.yaml does not exist$"):
+@pytest.mark.parametrize("lens", ["left_lens.yaml", "/dev/zero"])
+def test_error_names_a_calibration_that_is_no_file(lens, tmp_path):
+    (tmp_path / "car.yaml").write_text(f"cameras: {{left: {{calibration: {lens}, ego_from_camera: {POSE}}}}}")
+    with pytest.raises(
+        ValueError, match=rf"car\.yaml: camera 'left': calibration .*{lens} does not exist, or is a dev"
+    ):
         Rig.load(tmp_path / "car.yaml")
 
 

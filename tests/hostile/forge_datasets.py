@@ -101,9 +101,19 @@ FILES = {
 """One file of every kind that a source reads."""
 OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt", "perspective.txt")
 """Files of which only some options make use."""
+RAW = (".label", ".bin", ".invalid", ".occluded")
+"""Suffixes of files that are numbers alone: zeros may be what was recorded, such as labels that are all unknown."""
 PER_FILE = 2
 """Mutations of each file of a dataset that know nothing of its format."""
 Tree = Any
+
+
+def expected(path: Path, name: str) -> str:
+    """Return what a command must do with a file after a mutation that knows nothing of its format."""
+    empty_scan = (path.suffix, name) == (".bin", "empty")
+    return (
+        "refused" if name in BROKEN and not empty_scan and (path.suffix not in RAW or name != "nul-bytes") else "either"
+    )
 
 
 def sound(base: Path, source: str) -> Path:
@@ -345,7 +355,7 @@ def _prediction(source: str, name: str, seed: float) -> Case:
                 np.savez(path, pred=np.full((200, 200, 16), 11, np.uint8))
             else:
                 np.full((256, 256, 32), 40, "<u2").tofile(path)
-            expect, change = SPECIFIC[path.suffix].get(name, ("refused" if name in BROKEN else "either", None))
+            expect, change = SPECIFIC[path.suffix].get(name, (expected(path, name), None))
             if change is not None:
                 change(path, box)
             elif name != "sound":
@@ -377,9 +387,9 @@ def _case(source: str, file: str, name: str, seed: float) -> Case:
             expect, change = own[name]
             change(path, box)
         else:
-            expect = "refused" if name in BROKEN else "either"
+            expect = expected(path, name)
             (BROKEN | DAMAGED)[name](path, random.Random(seed))
-        if any(part in file for part in OPTIONAL) or (path.suffix, name) == (".bin", "empty"):  # a scan of nothing
+        if any(part in file for part in OPTIONAL):
             expect = "either"
         tables = [other.name for other in path.parent.glob("*.json")]  # which refer to one another
         return [Opening(check_command(box, source, root), expect, (path.name, *tables))]

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 
+import pytest
 import yaml
 
 from omniocc.report.runs import known_figures, read_runs
@@ -72,6 +73,16 @@ def test_a_damaged_file_is_named_and_its_run_left_out(runs, tmp_path, capsys):
     assert [line.split(" is damaged")[0] for line in lines] == [
         f"left out: {path}" for path in (config / "config.yaml", listed / "metrics.json", metrics / "metrics.json")
     ]
+
+
+@pytest.mark.parametrize("geometry", ["grid", "{shape: [a, b]}", f"{{shape: [{10**300}, 2]}}", "{_target_: 7}"])
+def test_a_run_without_a_grid_is_left_out(geometry, runs, tmp_path, capsys):
+    folder = tmp_path / "runs"
+    for name in ("ours-00000001", "dense-00000001"):
+        shutil.copytree(runs / name, folder / name)
+    (folder / "dense-00000001" / "config.yaml").write_text(f"model: {{geometry: {geometry}}}")
+    assert [run.name for run in read_runs(folder)] == ["ours-00000001"]
+    assert "dense-00000001/config.yaml is damaged: model.geometry" in capsys.readouterr().err
 
 
 def test_what_tells_a_replaced_run_from_the_newer_one_is_said(runs, tmp_path):

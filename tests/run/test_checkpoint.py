@@ -44,7 +44,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
 
 
 def test_a_checkpoint_tells_its_stage_and_the_weights_of_its_model(tmp_path):
-    path = write(tmp_path / "last.ckpt", {}, "depth", {"model.a": torch.ones(1), "prior": torch.ones(2)})
+    path = write(tmp_path / "last.ckpt", {"model": {}}, "depth", {"model.a": torch.ones(1), "prior": torch.ones(2)})
     trained = load_checkpoint(path)
     assert trained.stage == "depth"
     assert list(trained.model_weights) == ["a"]
@@ -127,7 +127,7 @@ def model(**parts):
         (model(name="x" * 5000), "has more than 4096 letters"),
         (model(names=[0] * 30_000), "more than 20000 values"),
         (model(name=torch.ones(1)), "at model.name is no plain value"),
-        ("model", "its configuration is no mapping"),
+        ("model", "its configuration is no mapping, or empty"),
     ],
 )
 def test_a_checkpoint_may_name_options_of_the_slots_alone(config, message, tmp_path):

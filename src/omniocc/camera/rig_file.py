@@ -140,8 +140,8 @@ def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
     if "calibration" in entry:
         _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
         file = files[-1].parent / str(entry["calibration"])
-        if not file.exists():
-            raise ValueError(f"calibration {file} does not exist")
+        if not file.is_file() and not file.is_dir():
+            raise ValueError(f"calibration {file} does not exist, or is a device or pipe")
         if file.resolve() in [other.resolve() for other in files]:
             raise ValueError(f"calibration {file} leads back to itself; name a file with lens and size of the image")
         cameras = read_rig(file, files).cameras

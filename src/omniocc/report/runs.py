@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from omniocc.config import GROUPS
+from omniocc.config import GROUPS, fits
 from omniocc.errors import UserError
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.run.folder import METRICS, command_of
@@ -25,6 +25,8 @@ HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 RAY_IOU = "test/rayiou"
 SETTING, UNKNOWN = ("preset", "steps", "data"), "unknown"
 """Facts that must be equal for a comparison, by which the folder of a report is called, and what stands for none."""
+MOST_VOXELS = 2**53
+"""Number of voxels that no grid has: a float tells no larger ones apart."""
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 
 
@@ -93,9 +95,16 @@ def _read(folder: Path) -> FinishedRun:
     config = read_mapping(path) if (path := folder / "config.yaml").exists() else {}
     if wrong := [key for key in GROUPS if not isinstance(config.get(key) or {}, dict)]:
         raise UserError(f"{path} is damaged: {wrong[0]} holds no keys and values")
+    if not _is_grid((config.get("model") or {}).get("geometry", {})):
+        raise UserError(f"{path} is damaged: model.geometry names no grid, or no numbers of cells as its shape")
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
     return FinishedRun(folder.name, facts, figures, folder, config)
+
+
+def _is_grid(geometry: Any) -> bool:
+    named = isinstance(geometry, dict) and isinstance(geometry.get("_target_", GRID), str)
+    return named and fits(shape := geometry.get("shape", []), list[int]) and 0 <= math.prod(shape) < MOST_VOXELS
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from omniocc.config import (
     target_of,
 )
 from omniocc.data.recording.pool import usable_cores
-from omniocc.errors import UserError
+from omniocc.errors import UserError, shortened
 from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, read_weights
@@ -116,7 +116,7 @@ def load_weights(
         network.load_state_dict(weights)
     except RuntimeError as error:
         first = str(error).splitlines()[1:2] or [str(error)]
-        raise UserError(f"{path}: its weights do not fit: {first[0].strip()}; {question}") from error
+        raise UserError(f"{path}: its weights do not fit: {shortened(first[0].strip(), 300)}; {question}") from error
     if not all(bool(value.isfinite().all()) for value in weights.values()):
         raise UserError(f"{path} holds weights that are not finite (NaN): its training failed, use another checkpoint")
     return network

@@ -101,8 +101,8 @@ def fault_of(config: object) -> str | None:
     An interpolation would read this machine (`${oc.env:HOME}`), and one with a backslash before it becomes one when it
     is resolved. Hydra's own keys (`_args_`, `_partial_` ...) would change how an option is built.
     """
-    if not isinstance(config, Mapping):
-        return "its configuration is no mapping"
+    if not isinstance(config, Mapping) or not config:
+        return "its configuration is no mapping, or empty"
     left: list[tuple[str, int, object]] = [("", 0, config)]
     seen = 0
     while left:

@@ -206,3 +206,11 @@ def test_an_index_of_other_types(change, said, tmp_path):
     changed_file(tmp_path / "scene", INDEX, json.dumps(index).encode())
     with pytest.raises(DataError, match=rf"index\.json: scene 'scene': it is no index of this scene \(.*{said}"):
         SceneReader(scene.folder).read(0, ["a.bin"])
+
+
+def test_a_rig_that_is_wrong_is_named_in_its_scene(tmp_path):
+    scene = scene_of(tmp_path / "scene", of_cameras("rgb{}.jpg", jpeg(64, 36)))
+    text = (scene.folder / "rig.yaml").read_text()
+    changed_file(scene.folder, "rig.yaml", text.replace("front:", "../front:", 1).encode())
+    with pytest.raises(DataError, match=rf"^{scene.folder}/rig\.yaml: the name of a camera is '\.\./front'"):
+        _ = SceneReader(scene.folder).rig

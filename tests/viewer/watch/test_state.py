@@ -25,6 +25,7 @@ def test_runs_and_stages_are_found_and_other_folders_are_not(tmp_path):
     make_run(tmp_path / "stages" / "depth-2")
     make_run(tmp_path / "stages" / "sketch-3")
     make_run(tmp_path / ".hidden")
+    make_run(tmp_path / "of-another-encoding-\udcff")
     (tmp_path / "report").mkdir()
     (tmp_path / "note.txt").touch()
     assert list(run_folders(tmp_path)) == ["ours-1", "stages/depth-2", "stages/sketch-3"]

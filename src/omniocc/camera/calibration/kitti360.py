@@ -22,8 +22,9 @@ from omniocc.io import parse_yaml, read_short_text, twice
 POSES = "calib_cam_to_pose.txt"
 
 
-def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
+def read_kitti360(content: Any, name: str) -> Calibration:
     """Return one camera of `model_type: MEI`; raise ValueError naming the key that is missing or wrong."""
+    content = mapping(content, "the content")
     model = required(content, "model_type")
     if model != "MEI":
         raise ValueError(f"model_type is {model!r}; only MEI of CamOdoCal's models is supported")

@@ -103,7 +103,10 @@ class SceneReader(SceneFolder):
             with TemporaryDirectory() as folder:
                 for name, content in zip(names, contents, strict=True):
                     (Path(folder) / name).write_bytes(content)
-                _RIGS[key] = Rig.load(Path(folder) / "rig.yaml")
+                try:
+                    _RIGS[key] = Rig.load(Path(folder) / "rig.yaml")
+                except ValueError as error:
+                    raise DataError(str(error).replace(folder, str(self.folder))) from error
         return _RIGS[key]
 
     @property

@@ -63,7 +63,8 @@ def run_folders(runs: Path) -> dict[str, Path]:
         for prefix, parent in parents
         if parent.is_dir()
         for path in sorted(parent.iterdir())
-        if not path.name.startswith(".") and curve_files(path)
+        # a page cannot ask for a name that is no Unicode; names of runs are printable
+        if not path.name.startswith(".") and path.name.isprintable() and curve_files(path)
     }
 
 
