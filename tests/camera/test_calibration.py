@@ -287,6 +287,7 @@ def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
         (KALIBR, "[752, 480]\n  rostopic", "[752]\n  rostopic", "cam0: resolution.* 2 numbers"),
         (KALIBR, "[2.2134, ", "[", "cam1: intrinsics.* 5 numbers"),
         (KALIBR, "radtan", "fov", "cam1: camera_model.*omni.*distortion_model.*fov"),
+        (KALIBR, "[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 2.0]", "cam1: T_cn_cnm1: its last row is"),
         (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [2.0, 0.0, 0.0, -0.11]", "cam1: T_cn_cnm1.*stretches"),
         (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [1.0, 0.0, -0.11]", "cam1: T_cn_cnm1.*row.* 4"),
         (KALIBR, "0.56574", "1.56574", "cam2: alpha is 1.56574"),

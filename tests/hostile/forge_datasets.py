@@ -392,6 +392,8 @@ def _case(source: str, file: str, name: str, seed: float) -> Case:
         if any(part in file for part in OPTIONAL):
             expect = "either"
         tables = [other.name for other in path.parent.glob("*.json")]  # which refer to one another
-        return [Opening(check_command(box, source, root), expect, (path.name, *tables))]
+        return [
+            Opening(check_command(box, source, root), expect, (path.name, *tables, "of the model's grid is occupied"))
+        ]
 
     return Case(KIND, f"{source}-{file.replace('/', '.')}-{name}", make)

@@ -72,7 +72,7 @@ class Box:
         self.home, self.temporary, self.neighbour = folder / "home", folder / "tmp", folder / "neighbour"
         for made in (self.given, self.out, self.marks, self.home, self.temporary, self.neighbour):
             made.mkdir(parents=True)
-        (self.neighbour / "notes.txt").write_text("of somebody else")
+        (self.neighbour / "notes.txt").write_text("not of this folder")
 
     def snapshot(self) -> dict[str, tuple[int, ...]]:
         """Return size and time of change of every file but those of the output."""

@@ -88,7 +88,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     stage, config, weights = content[STAGE], content[CONFIG], content["state_dict"]
     if stage not in STAGES:
         raise UserError(f"{path} names a stage that does not exist; there are {', '.join(STAGES)}")
-    if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
+    named = isinstance(weights, dict) and all(isinstance(name, str) for name in weights)
+    if not named or not all(isinstance(value, Tensor) for value in weights.values()):
         raise UserError(f"{path} is damaged: its weights are no tensors by name")
     if any(value.is_complex() for value in weights.values()):
         raise UserError(f"{path} is damaged: it has complex weights")

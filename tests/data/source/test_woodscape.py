@@ -54,6 +54,10 @@ def test_pixels_keep_their_classes(root):
     assert (labels[:1] == 255).all()  # void
     assert (labels[4:, :32] == 1).all()
     assert (labels[4:, 32:] == 6).all()
+    path = next(root.glob(f"semantic_annotations/gtLabels/{scene.name}.png"))
+    cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2])
+    with pytest.raises(DataError, match=rf"{path.name}: the image has .* px, but its calibration is for"):
+        scene.pixel_labels(0)
 
 
 @pytest.mark.parametrize(

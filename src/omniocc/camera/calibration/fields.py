@@ -99,6 +99,8 @@ def pose(rows: Any, name: str) -> Float64[Tensor, "4 4"]:
     if not all(isinstance(line, list) and len(line) == 4 for line in rows):
         raise ValueError(f"{name} is {rows!r}; every row must hold 4 numbers")
     matrix = np.array([[_number(name, value) for value in line] for line in rows[:3]])
+    if [_number(name, value) for line in rows[3:] for value in line] not in ([], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"{name}: its last row is {rows[3]!r}; it must be 0, 0, 0, 1")
     left, stretch, right = np.linalg.svd(matrix[:, :3])
     if np.abs(stretch - 1).max() > ROTATION_TOLERANCE or np.linalg.det(matrix[:, :3]) < 0:
         raise ValueError(f"{name}: its 3x3 part stretches by {stretch.round(4).tolist()}; it must be a rotation")

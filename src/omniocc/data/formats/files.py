@@ -187,15 +187,20 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
         DataError: if the file is missing, no image, or of another size.
     """
 
-    def check_size(found: tuple[int, int]) -> None:
-        ratio = found[0] / found[1] / (scaled[0] / scaled[1])
-        fits = found == size if size else abs(ratio - 1) <= SHAPE_TOLERANCE + HEIGHT_STEP / 2 / scaled[1]
-        if not fits:
-            found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size or scaled))
-            whole = "" if size else ", or a multiple"
-            raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px{whole}")
+    def fits(found: tuple[int, int]) -> None:
+        check_size(path, found, size, scaled)
 
-    return scaled_to(rgb_of(content_of(path, remedy), str(path), fits=check_size), scaled)
+    return scaled_to(rgb_of(content_of(path, remedy), str(path), fits=fits), scaled)
+
+
+def check_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None, scaled: tuple[int, int]) -> None:
+    """Raise DataError if (width, height) are not `size` or, where that is None, of another aspect ratio than `scaled`."""
+    ratio = found[0] / found[1] / (scaled[0] / scaled[1])
+    fits = found == size if size else abs(ratio - 1) <= SHAPE_TOLERANCE + HEIGHT_STEP / 2 / scaled[1]
+    if not fits:
+        found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size or scaled))
+        whole = "" if size else ", or a multiple"
+        raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px{whole}")
 
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:

@@ -166,6 +166,8 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
     with Progress(f"index of {tables.name}", max(mib, 1), "MiB") as progress:
         path = tables / "scene.json"
         scenes = once(path, ((r["token"], r["name"]) for r in records(path) if keep is None or r["name"] in keep))
+        if not scenes:
+            raise DataError(f"{path}: it has no record of a scene" + (" that is wanted" if keep is not None else ""))
         if (name := twice(scenes.values())) is not None:
             raise DataError(f"{path}: there are two records of scene '{name}'; keep one")
         path = tables / "sample.json"

@@ -14,6 +14,7 @@ from omniocc.camera import Equirectangular, RadialPolynomial, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.files import (
     check_root,
+    check_size,
     class_table,
     decode,
     map_classes,
@@ -143,6 +144,7 @@ class WoodScapeImage(DatasetScene):
             ids = decode(path, cv2.IMREAD_UNCHANGED)
             if ids.ndim != 2:
                 raise DataError(f"{path}: the file is no image of class ids")
+            check_size(path, ids.shape[::-1], None, (camera.width, camera.height))
             classes = map_classes(ids.astype(np.int64), TABLE, path)
         return [cv2.resize(classes, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST_EXACT)]
 
