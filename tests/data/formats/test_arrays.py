@@ -107,16 +107,15 @@ def test_a_small_file_of_large_arrays(tmp_path):
 PCD = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 {times}\nPOINTS {count}\nDATA {encoding}\n"
 PROPERTIES = "property float x\nproperty float y\nproperty float z\n"
 PLY = "ply\nformat {encoding} 1.0\nelement vertex {count}\n" + PROPERTIES + "end_header\n"
-MANY = {"10^12": "1" + 12 * "0", "10^19": "1" + 19 * "0", "10^4500": "1" + 4500 * "0", "other digits": "\u0663\u00b2"}
+MANY = ("1" + 12 * "0", "1" + 19 * "0", "1" + 4500 * "0", "\u0663\u00b2")
 """Numbers of points: more than the file holds, more than fit a machine's integer, more than Python reads as one."""
 
 
-@pytest.mark.parametrize("count", MANY.values(), ids=list(MANY))
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_a_pcd_file_of_too_many_points(encoding, count, tmp_path):
+def test_a_pcd_file_of_too_many_points(encoding, tmp_path):
     path = tmp_path / "a.pcd"
     body = np.array([12, 2**32 - 1], "<u4").tobytes() + b"1 2 3\n4 5 6\n"
-    for facts in ({"times": 1, "count": count}, {"times": count, "count": 2}):
+    for facts in [facts for many in MANY for facts in ({"times": 1, "count": many}, {"times": many, "count": 2})]:
         path.write_bytes(PCD.format(**facts, encoding=encoding).encode() + body)
         with pytest.raises(DataError, match=rf"^{path}: ") as error:
             clouds.read_pcd(path)
@@ -124,14 +123,14 @@ def test_a_pcd_file_of_too_many_points(encoding, count, tmp_path):
         assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("count", MANY.values(), ids=list(MANY))
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
-def test_a_ply_file_of_too_many_points(encoding, count, tmp_path):
+def test_a_ply_file_of_too_many_points(encoding, tmp_path):
     path = tmp_path / "a.ply"
-    path.write_bytes(PLY.format(count=count, encoding=encoding).encode() + b"1 2 3\n4 5 6\n")
-    with pytest.raises(DataError, match=rf"^{path}: ") as error:
-        clouds.read_ply(path)
-    assert len(str(error.value)) < 400
+    for count in MANY:
+        path.write_bytes(PLY.format(count=count, encoding=encoding).encode() + b"1 2 3\n4 5 6\n")
+        with pytest.raises(DataError, match=rf"^{path}: ") as error:
+            clouds.read_ply(path)
+        assert len(str(error.value)) < 400
     path.write_bytes(f"ply\nformat {encoding} 1.0\nelement vertex 2\nend_header\n1 2 3\n".encode())
     with pytest.raises(DataError, match="its vertices have no properties"):
         clouds.read_ply(path)
