@@ -3,8 +3,9 @@
 import copy
 import functools
 import os
+import resource
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -106,6 +107,16 @@ def as_trained() -> Callable[[OccupancyModel], OccupancyModel]:
         return model
 
     return change
+
+
+@pytest.fixture
+def little_memory() -> Iterator[None]:
+    """Let this process take half a GiB more than it has."""
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + 2**29, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 @pytest.fixture(scope="session")

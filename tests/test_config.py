@@ -64,7 +64,9 @@ def test_option_module_and_class_share_a_name_with_the_stated_exceptions_alone()
 
 @pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
 def test_every_preset_composes_and_passes_the_check(preset, composed):
-    check_root(composed(f"preset={preset}"))
+    cfg = composed(f"preset={preset}")
+    check_root(cfg)
+    assert cfg.logger.mode == "offline"  # nothing is uploaded unless the user asks
 
 
 def slot_options():

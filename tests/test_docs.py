@@ -12,7 +12,8 @@ from omniocc.classes import CLASSES
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "omniocc"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
+PAGES += sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in page.parts]
 
 EXAMPLES = {

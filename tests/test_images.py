@@ -67,7 +67,7 @@ def tiff(samples: bytes, width: int, height: int, bits: int, orientation: int, b
     return header + (2 * word).to_bytes(word, "big") + len(tags).to_bytes(count, "big") + rows + bytes(word) + samples
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("orientation", [3, 6])  # half a turn; a quarter, which swaps width and height
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])
 def test_no_orientation_tag_turns_an_image(kind, orientation, tmp_path):
     exif = Image.Exif()

@@ -1,7 +1,5 @@
 """Secrets in URLs are refused before anything is written, and no message repeats them."""
 
-import subprocess
-import sys
 import threading
 from base64 import b64encode
 from functools import partial
@@ -9,6 +7,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from scripts import run_script
 
 from omniocc.config import ConfigError, compose_plain, refuse_credentials
 from omniocc.data import SceneReader
@@ -73,7 +72,6 @@ def test_the_way_of_the_store_is_named(url, way):
         check_url(url)
 
 
-@pytest.mark.parametrize("url", [*SECRETS, "https://host/a?token=s3cret"])
 @pytest.mark.parametrize(
     "opened",
     [
@@ -82,18 +80,18 @@ def test_the_way_of_the_store_is_named(url, way):
     ],
     ids=["Files", "SceneReader", "Recorded", "list_folders", "read_json", "cached"],
 )  # fmt: skip
-def test_nothing_opens_a_url_with_secrets(url, opened):
-    with pytest.raises(Exception, match=r"\*\*\*") as error:
-        opened(url)
-    assert "s3cret" not in str(error.value)
+def test_nothing_opens_a_url_with_secrets(opened):
+    for url in ("s3://key:s3cret@bucket/data", "https://host/a?token=s3cret", "zip://a.zip::http://user:s3cret@host/x"):
+        with pytest.raises(UserError, match=r"\*\*\*") as error:
+            opened(url)
+        assert "s3cret" not in str(error.value)
 
 
 @pytest.mark.parametrize(
     "url",
     [
-        "zip://x::http://127.0.0.1:1/secret.zip", "simplecache::s3://bucket/data", "python::file:///etc",
-        "file:///tmp::memory://x", "dir://x", "ftp://host/x", "github://a:b@/x", "hdfs://host/x", "reference://x",
-        "ssh://host/x", "jupyter://x", "data://x", "local://x", "HTTP://host/x", "://x",
+        "zip://x::http://127.0.0.1:1/secret.zip", "simplecache::s3://bucket/data", "file:///tmp::memory://x",
+        "ftp://host/x", "github://a:b@/x", "HTTP://host/x", "://x",
     ],
 )  # fmt: skip
 def test_chains_and_other_protocols_are_refused(url):
@@ -128,9 +126,7 @@ def test_commands_write_and_print_no_secret(command, tmp_path):
     script, *words = command.split()
     words = [word for word in words if word in ("--multirun", "occupancy")]
     words += [word.format("http://user:s3cret@127.0.0.1:9/data") for word in COMMANDS[command]]
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "src" / script), *words], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = run_script(script, *words, cwd=tmp_path)
     assert done.returncode == 1
     assert "http://***@127.0.0.1:9/data: a URL with a user" in done.stderr
     assert "~/.netrc" in done.stderr

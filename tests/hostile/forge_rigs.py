@@ -115,6 +115,8 @@ def saved(width: int | None = None, names: Sequence[str] | None = None, focal_px
 
 
 BOTH = ["front", "rear"]
+LENS = RIG[RIG.index("    model") : RIG.index("    ego_from")]
+THE_CAMERAS = RIG[RIG.index("cameras:") :]
 LAUGHS = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
 TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     # name: kind, old text, new text, what has to come of it, check
@@ -169,21 +171,21 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     "mask-nul": ("rig", "mask: front.png", 'mask: "a\\0b"', "refused", None),
     "calibration-itself": (
         "rig",
-        RIG[RIG.index("    model") : RIG.index("    ego_from")],
+        LENS,
         "    calibration: rig.yaml\n",
         "refused",
         None,
     ),
     "calibration-device": (
         "rig",
-        RIG[RIG.index("    model") : RIG.index("    ego_from")],
+        LENS,
         "    calibration: /dev/zero\n",
         "refused",
         None,
     ),
-    "cameras-empty": ("rig", RIG[RIG.index("cameras:") :], "cameras: {}\n", "refused", None),
-    "cameras-a-text": ("rig", RIG[RIG.index("cameras:") :], "cameras: front\n", "refused", None),
-    "cameras-of-null": ("rig", RIG[RIG.index("cameras:") :], "cameras: {front: , rear: }\n", "refused", None),
+    "cameras-empty": ("rig", THE_CAMERAS, "cameras: {}\n", "refused", None),
+    "cameras-a-text": ("rig", THE_CAMERAS, "cameras: front\n", "refused", None),
+    "cameras-of-null": ("rig", THE_CAMERAS, "cameras: {front: , rear: }\n", "refused", None),
     "python-object": (
         "rig",
         "road_z_m: -2.2",

@@ -21,7 +21,11 @@ ARRAYS = {
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("kind", ARRAYS)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [*(("rays", kind) for kind in ARRAYS), *((name, "read_only") for name in METRICS if name != "rays")],
+    indirect=["name"],
+)
 def test_arrays_of_numpy_are_taken(name, kind):
     metric, arrays = made(name), [ARRAYS[kind](part.numpy()) for part in batch(name)]
     metric.update(*arrays)
@@ -29,7 +33,7 @@ def test_arrays_of_numpy_are_taken(name, kind):
     same(made(name)(*arrays), metric.compute())
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.int8, np.int64, np.float32, np.float16])
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.int8, np.float16])
 @pytest.mark.parametrize("name", ["rays", "voxels"], indirect=True)
 def test_ids_of_any_numeric_type(name, dtype):
     metric = made(name)
@@ -61,14 +65,13 @@ def test_arrays_of_rays():
     assert found["rayiou/4"] == 1
 
 
-@pytest.mark.parametrize("wrong", ["words", ["a", "b"], {"a": 1}, object()])
-def test_what_is_no_array_is_named(name, wrong):
+def test_what_is_no_array_is_named(name):
     preds, target = batch(name)
-    for arguments, argument in (((wrong, target), "preds"), ((preds, wrong), "target")):
-        with pytest.raises(
-            ValueError, match=f"{argument} must be a tensor or a numpy array of numbers, got {type(wrong).__name__}"
-        ):
-            made(name).update(*arguments)
+    for wrong in (["a", "b"], {"a": 1}):
+        for arguments, argument in (((wrong, target), "preds"), ((preds, wrong), "target")):
+            said = f"{argument} must be a tensor or a numpy array of numbers, got {type(wrong).__name__}"
+            with pytest.raises(ValueError, match=said):
+                made(name).update(*arguments)
 
 
 def test_wrong_types_and_shapes_are_named(name):

@@ -38,10 +38,8 @@ def name(request):
 
 
 CASTS = {
-    "half": lambda module: module.half(), "to_float16": lambda module: module.to(torch.float16),
-    "bfloat16": lambda module: module.bfloat16(), "to_bfloat16": lambda module: module.to("cpu", torch.bfloat16),
-    "double": lambda module: module.double(), "to_float64": lambda module: module.to(torch.float64),
-    "type": lambda module: module.type(torch.float16),
+    "half": lambda module: module.half(), "to": lambda module: module.to("cpu", torch.bfloat16),
+    "type": lambda module: module.type(torch.float64),
 }  # fmt: skip
 
 
@@ -61,9 +59,8 @@ def test_casts_of_the_module_around_it_change_no_count(name, cast):
     }
 
 
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
-def test_a_set_type_changes_no_count(name, dtype):
-    metric = counted(name, 0).set_dtype(dtype)
+def test_a_set_type_changes_no_count(name):
+    metric = counted(name, 0).set_dtype(torch.float16)
     metric.update(*batch(name, 1))
     same(metric.compute(), counted(name, 0, 1).compute())
 
@@ -79,7 +76,7 @@ def test_more_cells_than_half_precision_counts():
     assert metric.compute()["iou"] == metric.compute()["recall"] == 0.5
 
 
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float64])
 def test_the_default_type_changes_nothing(name, dtype):
     arguments, expected = batch(name), counted(name, 0).compute()
     torch.set_default_dtype(dtype)
@@ -111,7 +108,7 @@ def test_counts_of_other_settings_are_refused(name, other):
     same(metric.compute(), counted(name, 0).compute())
 
 
-@pytest.mark.parametrize(("name", "other"), PAIRS)
+@pytest.mark.parametrize(("name", "other"), [(name, others[0]) for name, others in OTHERS.items()])
 def test_groups_of_a_collection_hold_one_setting(name, other):
     """After the first batch, which is empty, all states are equal."""
     metrics = MetricCollection({"one": made(name), "same": made(name), "other": other.clone()})
@@ -341,8 +338,8 @@ def test_fractions_of_measured_rays_that_do_not_count():
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning")
-@pytest.mark.parametrize("precision", ["32-true", "16-true", "bf16-true", "bf16-mixed"])
-@pytest.mark.parametrize("name", ["rays", "voxels", "candidates"], indirect=True)
+@pytest.mark.parametrize("precision", ["16-true", "bf16-mixed"])
+@pytest.mark.parametrize("name", ["rays"], indirect=True)
 def test_one_score_is_logged_as_an_object(name, precision):
     from lightning.pytorch import LightningModule, Trainer
     from torch.utils.data import DataLoader

@@ -40,8 +40,7 @@ EARLY, LATE = {"finished": "2026-01-01T00:00:00Z"}, {"finished": "2026-02-01T00:
 OTHER_RAYS = {"protocol": {"rayiou": "rays from eight origins", "voxel": "all cells"}}
 
 
-@pytest.mark.parametrize("rays", [{}, OTHER_RAYS])
-@pytest.mark.parametrize("commit", ["abc", "abc+"])
+@pytest.mark.parametrize(("rays", "commit"), [({}, "abc"), (OTHER_RAYS, "abc+")])
 def test_a_newer_run_of_another_name_does_not_take_the_row(runs, tmp_path, rays, commit):
     train(tmp_path, runs / "ours-00000001", "ours-00000001", EARLY)
     train(tmp_path, runs / "dense-00000001", "mine-00000001", LATE | rays | {"commit": commit})

@@ -190,9 +190,7 @@ def test_a_damaged_file_is_one_line(tmp_path, file, change, message):
 
 
 @pytest.mark.parametrize("key", ["semantics", "pred"])
-@pytest.mark.parametrize(
-    ("wrong", "dtype"), [(-1, "i8"), (-1, "f4"), (18, "u1"), (255, "u1"), (3.5, "f4"), (np.nan, "f8")]
-)
+@pytest.mark.parametrize(("wrong", "dtype"), [(-1, "i8"), (18, "u1"), (3.5, "f4"), (np.nan, "f8")])
 def test_labels_and_predictions_are_whole_numbers_from_0_to_17(tmp_path, key, wrong, dtype):
     root = write_nuscenes(tmp_path, ("scene-0001", "scene-0002", "scene-0003"), frames=1)
     scene = source_of(root).scenes("test")[0]

@@ -1,3 +1,5 @@
+import contextlib
+import json
 import logging
 
 import pytest
@@ -72,6 +74,17 @@ def test_weights_from_a_folder_are_loaded_and_compared(tmp_path):
         build(sizes={**CONVNEXT, "depths": [1, 1, 2, 1]}, weights=str(tmp_path))
     with pytest.raises(ValueError, match=r"model_type.*convnext.*swin"):
         build("swin", SWIN, weights=str(tmp_path))
+
+
+def test_code_beside_weights_is_not_run(tmp_path):
+    ConvNextBackbone(ConvNextConfig(**CONVNEXT)).save_pretrained(tmp_path)
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w')\n")
+    for facts in ({}, {"model_type": "evil"}):
+        config = json.loads((tmp_path / "config.json").read_text()) | {"auto_map": {"AutoConfig": "evil.Evil"}} | facts
+        (tmp_path / "config.json").write_text(json.dumps(config))
+        with contextlib.suppress(ValueError):
+            build(weights=str(tmp_path))
+    assert not (tmp_path / "mark").exists()
 
 
 def test_unavailable_weights_give_one_warning_and_random_weights(monkeypatch, caplog):
