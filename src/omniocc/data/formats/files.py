@@ -194,7 +194,7 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
 
 
 def check_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None, scaled: tuple[int, int]) -> None:
-    """Raise DataError if (width, height) are not `size` or, where that is None, of another aspect ratio than `scaled`."""
+    """Raise DataError if (width, height) are not `size` or, without one, of another aspect ratio than `scaled`."""
     ratio = found[0] / found[1] / (scaled[0] / scaled[1])
     fits = found == size if size else abs(ratio - 1) <= SHAPE_TOLERANCE + HEIGHT_STEP / 2 / scaled[1]
     if not fits:
