@@ -175,6 +175,7 @@ def png(width, height):
         ("voxels/000000.invalid", None, r"frame 0: .*000000\.invalid: the file is missing"),
         ("voxels/000000.label", np.full(2_097_152, 47, "<u2").tobytes(), r"class ids \[47\] are not in"),
         ("velodyne/000000.bin", b"12345", r"frame 0: .*000000\.bin: the file has 5 bytes"),
+        ("labels/000000.label", b"1234", r"000000\.label has labels of 1 points, but velodyne/000000\.bin has 1"),
         ("image_2/000000.png", b"no image", r"000000\.png: the file is no image"),
         ("image_2/000000.png", png(1, 1), r"000000\.png: the image has 1x1 px, but calib\.txt has its middle near"),
         ("image_2/000000.png", png(248, 37), r"000000\.png: the image has 248x37 px, but calib\.txt has its middle"),

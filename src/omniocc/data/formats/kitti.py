@@ -6,7 +6,7 @@ Formats: https://github.com/PRBonn/semantic-kitti-api and https://github.com/ai4
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8, UInt32
 
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.files import class_table, map_classes, read_array, read_bytes, read_text
@@ -80,9 +80,21 @@ def read_mask(path: Path) -> Bool[np.ndarray, "256 256 32"]:
 
 def read_point_classes(path: Path, table: np.ndarray, kept: Bool[np.ndarray, " R"]) -> UInt8[np.ndarray, " P"]:
     """Return the classes of the points of a scan, the rows that are `kept`, from its `.label` file; 255 unlabelled."""
-    raw = read_array(path, "<u4", kept.shape)[kept] & 0xFFFF  # the upper half numbers instances
-    classes = map_classes(raw, table, path)
+    classes = map_classes(read_point_ids(path, kept) & 0xFFFF, table, path)  # the upper half numbers instances
     return np.where(classes == 0, UNKNOWN, classes).astype(np.uint8)
+
+
+def read_point_ids(path: Path, kept: Bool[np.ndarray, " R"]) -> UInt32[np.ndarray, " P"]:
+    """Return the ids of the points of a scan, the rows that are `kept`, from its `.label` file.
+
+    Raises:
+        DataError: when the file cannot be read, or labels another number of points.
+    """
+    ids = read_array(path, "<u4", (-1,))
+    if len(ids) != len(kept):
+        scan = f"velodyne/{path.stem}.bin"
+        raise DataError(f"{path} has labels of {len(ids):,} points, but {scan} has {len(kept):,}; one is damaged")
+    return ids[kept]
 
 
 def write_prediction(path: Path, classes: UInt8[np.ndarray, "256 256 32"], ids: dict[int, tuple[int, ...]]) -> None:

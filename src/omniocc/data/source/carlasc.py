@@ -15,6 +15,7 @@ from omniocc.camera import Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_array, read_text
+from omniocc.data.formats.kitti import read_point_ids
 from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
@@ -173,7 +174,7 @@ class CarlaSCScene(DatasetScene):
         with self.naming(frame):
             points, kept = read_scan(self.folder / "velodyne" / f"{number:06d}.bin", 4)
             path = self.folder / "labels" / f"{number:06d}.label"
-            classes = map_classes(read_array(path, "<u4", kept.shape)[kept], TABLE, path)
+            classes = map_classes(read_point_ids(path, kept), TABLE, path)
         labels = np.where(classes == 0, UNKNOWN, classes).astype(np.uint8)
         return Cloud(points @ FLIP.astype(np.float32), labels, np.zeros(3))
 
