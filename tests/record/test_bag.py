@@ -90,7 +90,7 @@ def test_a_damaged_bag_is_named(tmp_path):
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "omniocc.record.bag_reader", None)
     with pytest.raises(UserError, match=r"pip install .*'\.\[bag\]'"):
         Bag(tmp_path)
 
