@@ -332,7 +332,7 @@ TABLES: dict[str, tuple[str, str]] = {
     "view-of-versions": (
         "refused", f"DROP TABLE schema; CREATE VIEW schema AS {ENDLESS} x AS schema_version FROM n WHERE x < 0"
     ),
-    "computed-column": ("refused", "ALTER TABLE messages ADD COLUMN more AS (randomblob(1000000000))"),
+    "computed-column": ("refused", "ALTER TABLE messages ADD COLUMN more AS (zeroblob(1000000000))"),
     "virtual-table": ("refused", "DROP TABLE schema; CREATE VIRTUAL TABLE schema USING fts5(schema_version)"),
     "trigger": ("right", "CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM messages; END"),
     "times-of-text": ("refused", "UPDATE messages SET timestamp = 'soon' WHERE id > 3"),
@@ -343,8 +343,13 @@ TABLES: dict[str, tuple[str, str]] = {
     "no-messages": ("refused", "DELETE FROM messages"),
     "no-table": ("refused", "DROP TABLE messages"),
     "topics-renamed": ("refused", "UPDATE topics SET name = 5"),
-    "version-of-text": ("refused", "UPDATE schema SET schema_version = schema_version || 'x'; DROP TABLE schema; "
-                        "CREATE TABLE schema(schema_version); INSERT INTO schema VALUES ('new')"),
+    "version-of-text": (
+        "refused", "DROP TABLE schema; CREATE TABLE schema(schema_version); INSERT INTO schema VALUES ('new')"
+    ),
+    "definition-in-brackets": (
+        "right", "UPDATE message_definitions SET encoding = 'ros2idl', encoded_message_definition = "
+        "'module a { const long X = " + "(" * 20 + "1" + ")" * 20 + "; };'"
+    ),
 }  # fmt: skip
 
 

@@ -164,6 +164,18 @@ def test_points_of_a_bag_that_are_ambiguous_are_refused(fields, words):
         cloud_of(cloud(fields, [[1, 2, 3, 3.5]]), None, "here")
 
 
+def test_points_of_a_bag_that_fill_the_memory_are_refused():
+    message = cloud(FLOATS, [[1, 2, 3, 4]])
+    message.point_step, message.width, message.row_step = 2**32 - 1, 0, 0
+    with pytest.raises(DataError, match=re.escape("here: a point has 4,294,967,295 bytes")):
+        cloud_of(message, None, "here")
+
+
+def test_many_fields_of_points_are_compared_in_no_time():
+    fields = [*FLOATS, *((f"more{number}", 0, 2) for number in range(50_000))]
+    assert cloud_of(cloud(fields, [[1, 2, 3, 4]]), None, "here").points_m.tolist() == [[1, 2, 3]]
+
+
 def test_plumb_bob_is_that_of_opencv():
     camera = camera_of(info("plumb_bob", PLUMB_BOB), "here")
     points = np.random.default_rng(0).uniform([-1, -0.5, 1], [1, 0.5, 3], (100, 3))

@@ -266,6 +266,8 @@ class Bag:
             raise self._unreadable(error, topic) from error
 
     def _unreadable(self, error: Exception, topic: str = "") -> DataError:
+        if isinstance(error, DataError):
+            return error
         where = f"{self.path}, {shown(topic)}" if topic else str(self.path)
         remedy = "'rosbag reindex' or 'ros2 bag reindex' mends bags whose recording was cut off"
         return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {shown(str(error))}; {remedy}")

@@ -22,6 +22,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.rosbag2 import storage_mcap
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from omniocc.errors import DataError
 from omniocc.io import check_regular, read_yaml
 
 MOST_BYTES = 1 << 29
@@ -43,16 +44,17 @@ def inflated(content: bytes, new: Callable[[], Any]) -> bytes:
     Raises:
         ValueError: if they are more than `MOST_BYTES`, or the last frame is cut off.
     """
-    found = bytearray()
+    parts, left = [], MOST_BYTES
     while content:
         one = new()
-        found += one.decompress(content, max_length=MOST_BYTES + 1 - len(found))
-        if len(found) > MOST_BYTES:
+        parts.append(one.decompress(content, max_length=left + 1))
+        left -= len(parts[-1])
+        if left < 0:
             raise ValueError(f"a compressed part has more than {MOST_BYTES >> 20} MiB")
         if not one.eof:
             raise ValueError("a compressed part is cut off")
         content = one.unused_data
-    return bytes(found)
+    return b"".join(parts)
 
 
 _BY_NAME = {"bz2": bz2.BZ2Decompressor, "lz4": LZ4FrameDecompressor, "zstd": zstd.ZstdDecompressor}
@@ -89,9 +91,9 @@ class BagReader:
             self.connections: list[Connection] = self.reader.connections
             for connection in self.connections:
                 if not all(isinstance(text, str) for text in (connection.topic, connection.msgtype)):
-                    raise TypeError(f"{connection.topic!r:.80} is no name of a topic")
+                    raise DataError(f"{self.path}: {connection.topic!r:.80} is no name of a topic")
             if not all(isinstance(number, int) for number in self.extent):
-                raise TypeError(f"{self.extent!r:.80} are no number of messages, nor times of the first and last")
+                raise DataError(f"{self.path}: {self.extent!r:.80} are no count of messages, first and last time (ns)")
             self.stack = stack.pop_all()
         return self
 
@@ -112,20 +114,20 @@ class BagReader:
 
 
 def _check_file(path: Path) -> None:
-    """Raise DataError or ValueError if a file is none, or a database that computes what it says."""
+    """Raise DataError if a file is none, or a database that computes what it says."""
     check_regular(path)
     with path.open("rb") as file:
         if file.read(len(SQLITE)) != SQLITE:
             return
     if wrong := set(IN_URLS) & set(str(path)):
-        raise ValueError(f"sqlite cannot open paths with {wrong.pop()}; rename {path}")
+        raise DataError(f"{path}: databases with {wrong.pop()} in their path cannot be opened; rename it")
     query = (
         "SELECT l.name FROM pragma_table_list l, pragma_table_xinfo(l.name) x "
         "WHERE l.schema = 'main' AND (l.type <> 'table' OR x.hidden)"
     )
     with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as database:
         if odd := database.execute(query).fetchone():
-            raise ValueError(f"{path.name}: '{odd[0]}' is a view, or a table whose content is computed")
+            raise DataError(f"{path}: {odd[0]!r:.80} is a view, or a table whose content is computed")
 
 
 @contextmanager
@@ -133,7 +135,7 @@ def _readable(folder: Path) -> Iterator[Path]:
     """Give the folder of a bag of ROS 2 whose files may be opened: itself, or a temporary one if they are compressed.
 
     Raises:
-        DataError, ValueError: naming the file that must not be opened.
+        DataError: naming the file that must not be opened.
     """
     place = folder / "metadata.yaml"
     content = read_yaml(place) if place.exists() else None
@@ -158,13 +160,13 @@ def _readable(folder: Path) -> Iterator[Path]:
 
 
 def _unpack(source: Path, target: Path) -> None:
-    """Decompress a file; raise ValueError if it grows as none does that holds images."""
+    """Decompress a file; raise DataError if it grows as none does that holds images."""
     most = max(MOST_BYTES, MOST_TIMES * source.stat().st_size)
     with zstd.open(source, "rb") as packed, target.open("xb") as file:
         while part := packed.read(PART_BYTES):
             file.write(part)
             if file.tell() > most:
-                raise ValueError(f"{source.name} has more than {most:,} bytes when it is decompressed")
+                raise DataError(f"{source}: the file has more than {most:,} bytes when it is decompressed")
 
 
 @functools.cache

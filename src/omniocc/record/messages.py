@@ -28,6 +28,8 @@ WORDS = re.compile(r"(mono|rgb|bgr|rgba|bgra|bayer_(?:rggb|bggr|gbrg|grbg))(10|1
 """Encodings of samples in words of 16 bits: the same channels, and how many of the bits are used; 16 may be fewer."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numpy's names of the data types of sensor_msgs/PointField."""
+LONGEST_POINT = 1 << 20
+"""Most bytes of a point."""
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 
 
@@ -121,6 +123,8 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
     if beyond := [name for name, end in sizes.items() if end > message.point_step]:
         raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")
+    if message.point_step > LONGEST_POINT:
+        raise DataError(f"{where}: a point has {message.point_step:,} bytes; at most {LONGEST_POINT:,} are read")
     dtype = np.dtype({
         "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
         "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,
