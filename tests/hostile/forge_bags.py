@@ -2,6 +2,7 @@
 
 import bz2
 import functools
+import itertools
 import random
 import sqlite3
 import struct
@@ -176,7 +177,7 @@ def _chain(bag: BagWriter, fields: dict[str, Any]) -> None:
     make = functools.partial(bag.make, "geometry_msgs/msg/TransformStamped", transform=one.transform)
     fields["transforms"] = [
         *fields["transforms"],
-        *(make(header=bag.header(1, up), child_frame_id=down) for up, down in zip(names, names[1:], strict=False)),
+        *(make(header=bag.header(1, up), child_frame_id=down) for up, down in itertools.pairwise(names)),
     ]
 
 
@@ -244,9 +245,11 @@ PACKED: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 }  # fmt: skip
 """Changes of the bytes of messages, which are refused."""
 DEFINITIONS = {
-    "recursive": "geometry_msgs/TransformStamped transform\nsensor_msgs/Image again\n", "malformed": "float64[ x y = =\n",
+    "recursive": "geometry_msgs/TransformStamped transform\nsensor_msgs/Image again\n",
+    "malformed": "float64[ x y = =\n",
     "of-billions": "geometry_msgs/Point[999999999] points\nstring[999999999] texts\n", "empty": "\n",
-    "of-code": "int32 A=__import__('os').system('touch x')\nstring B=\"\"\"\\\n\nimport os\n", "swapped": "byte[] data\n",
+    "of-code": "int32 A=__import__('os').system('touch x')\nstring B=\"\"\"\\\n\nimport os\n",
+    "swapped": "byte[] data\n",
 }  # fmt: skip
 """Definitions that no reader of ROS needs, since it knows its types."""
 
@@ -276,6 +279,7 @@ def _beside(box: Box, ros: int, topic: str) -> Path:
     return write_bag(SceneReader(box.base / "scenes" / SCENE), _place(box, ros), ros, More)
 
 
+ZSTD = {"compression_format": "zstd"}
 STATED: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
     "count-text": ("refused", lambda stated: stated.update(message_count="many")),
     "count-list": ("refused", lambda stated: stated.update(message_count=[1])),
@@ -297,8 +301,8 @@ STATED: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
     "topic-type-a-list": ("refused", lambda stated: _topic(stated).update(type=["a"])),
     "topics-a-text": ("refused", lambda stated: stated.update(topics_with_message_count="all")),
     "compression-unknown": ("refused", lambda stated: stated.update(compression_mode="file", compression_format="x")),
-    "compression-of-none": ("refused", lambda stated: stated.update(compression_mode="FILE", compression_format="zstd")),
-    "messages-of-none": ("refused", lambda stated: stated.update(compression_mode="message", compression_format="zstd")),
+    "compression-of-none": ("refused", lambda stated: stated.update(ZSTD, compression_mode="FILE")),
+    "messages-of-none": ("refused", lambda stated: stated.update(ZSTD, compression_mode="message")),
 }  # fmt: skip
 """Changes of `metadata.yaml`."""
 TEXTS: dict[str, Callable[[str], str]] = {
@@ -445,24 +449,21 @@ def forged(rng: random.Random) -> Iterable[tuple[str, str, Callable[[Box], Path]
     """Yield name, what has to come of it, what writes the bag, and more options."""
     for name, (expect, kind, change) in MESSAGES.items():
         more = ("recorder.poses=/odometry",) if name.startswith("odometry") else ()
-        yield name, expect, lambda box, o=(rng.choice((1, 2)), kind, change): written(
-            box, o[0], kind=o[1], change=o[2]
-        ), more
+        yield name, expect, functools.partial(written, ros=rng.choice((1, 2)), kind=kind, change=change), more
     for name, (kind, packed) in PACKED.items():
-        yield name, "refused", lambda box, o=(kind, packed): written(box, 2, kind=o[0], packed=o[1]), ()
+        yield name, "refused", functools.partial(written, ros=2, kind=kind, packed=packed), ()
     for name, text in DEFINITIONS.items():
-        ros = rng.choice((1, 2))
-        yield f"definition-{name}", "right", lambda box, ros=ros, text=text: written(box, ros, definition=text), ()
+        yield f"definition-{name}", "right", functools.partial(written, ros=rng.choice((1, 2)), definition=text), ()
     for name, (expect, change) in STATED.items():
-        yield f"metadata-{name}", expect, lambda box, change=change: _stated(box, change), ()
+        yield f"metadata-{name}", expect, functools.partial(_stated, change=change), ()
     for name, change in TEXTS.items():
-        yield f"metadata-{name}", "refused", lambda box, change=change: _text(box, change), ()
+        yield f"metadata-{name}", "refused", functools.partial(_text, change=change), ()
     for name, (expect, commands) in TABLES.items():
-        yield f"database-{name}", expect, lambda box, commands=commands: _database(box, commands), ()
+        yield f"database-{name}", expect, functools.partial(_database, commands=commands), ()
     for name, (expect, make) in FILES.items():
         yield name, expect, make, ()
     for ros in (1, 2):
-        yield f"backwards-ros{ros}", "right", lambda box, ros=ros: _backwards(box, ros), ()
+        yield f"backwards-ros{ros}", "right", functools.partial(_backwards, ros=ros), ()
         for name, topic in (("script", f"/{SCRIPT}"), ("long", "/" + "a" * 2**20)):
             one = functools.partial(_beside, ros=ros, topic=topic)
             yield f"topic-{name}-ros{ros}", "right", one, ()

@@ -28,7 +28,7 @@ class BagWriter:
             self.store.register(
                 get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
             )
-        self.bag = Writer1(path) if ros == 1 else Writer2(path, version=8)
+        self.bag: Any = Writer1(path) if ros == 1 else Writer2(path, version=8)
         self.connections: dict[str, Any] = {}
 
     def __enter__(self) -> "BagWriter":
@@ -78,7 +78,7 @@ class BagWriter:
         return self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", quaternion, strict=True)))
 
 
-def write_bag(scene: SceneReader, path: Path, ros: int, writer: type[BagWriter] | Any = BagWriter) -> Path:
+def write_bag(scene: SceneReader, path: Path, ros: int, writer: Any = BagWriter) -> Path:
     base_from_ego = np.linalg.inv(EGO_FROM_BASE)
     with writer(path, ros) as bag:
         first = stamp_ns(scene, 0)

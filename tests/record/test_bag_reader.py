@@ -124,7 +124,10 @@ ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELEC
     ("commands", "words"),
     [
         (f"DROP TABLE schema; CREATE VIEW schema AS {ENDLESS} WHERE x < 0", "'schema' is a view"),
-        ("DROP TABLE schema; CREATE VIRTUAL TABLE schema USING fts5(schema_version)", "is a view, or a table whose content is computed"),
+        (
+            "DROP TABLE schema; CREATE VIRTUAL TABLE schema USING fts5(schema_version)",
+            "is a view, or a table whose content is computed",
+        ),
         ("ALTER TABLE messages ADD COLUMN more AS (zeroblob(9))", "'messages' is a view, or a table"),
         ("UPDATE messages SET timestamp = 'soon'", "the bag cannot be read"),
         ("UPDATE messages SET data = 'text'", "a message has no bytes, or no time"),

@@ -218,7 +218,9 @@ class Bag:
         if not found or found[0].msgtype not in kinds:
             have = sorted({connection.topic for connection in self.reader.connections if connection.msgtype in kinds})
             problem = f"is of type {shown(found[0].msgtype)}" if found else "is not in the bag"
-            raise UserError(f"{option}={name}: the topic {problem}; topics that fit: {shown(', '.join(have)) or 'none'}")
+            raise UserError(
+                f"{option}={name}: the topic {problem}; topics that fit: {shown(', '.join(have)) or 'none'}"
+            )
         stamps, frame, counts = {}, None, {}
         for received_ns, message in self._messages(name):
             address = Address(name, received_ns, counts.setdefault(received_ns, 0))
