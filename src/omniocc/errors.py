@@ -2,6 +2,8 @@
 
 LONGEST = 1000
 """Characters of a text that a message shows: a value may have a thousand lines."""
+LONGEST_OF_FILES = 200
+"""The same of names and values that a file holds."""
 
 
 class UserError(ValueError):
@@ -20,6 +22,11 @@ def installing(extra: str) -> str:
 def shortened(text: str, most: int = LONGEST) -> str:
     """Return a text for a message, without its middle if it has more than `most` characters."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
+
+
+def shown(text: str) -> str:
+    """Return a text of a file for a message: one line, no control characters, shortened."""
+    return shortened(text if text.isprintable() else repr(text)[1:-1], LONGEST_OF_FILES)
 
 
 def first_line(error: BaseException) -> str:

@@ -53,6 +53,7 @@ def base(shared_folder, smoke, spec) -> Path:
         content = {STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}
         torch.save(content, folder / "run" / "best.ckpt")
         write_logs(folder)
+        write_sound_bag(folder)
         write_all(folder / "datasets")
         for path in write_sweep(folder).glob("*/config.yaml"):
             path.write_text(path.read_text() + "depth: {_target_: omniocc.model.depth.OmniMVS}\n")
@@ -88,6 +89,17 @@ def write_logs(folder: Path) -> None:
         record = ("recorder=files", f"recorder.log={folder / name}", "recorder.name=test-000-log", *options)
         size = ("recorder.road_z_m=-2.0", "recorder.panorama=[48,12,45.0,-45.0]")
         succeed("record.py", *record, *size, f"output={folder / place}")
+
+
+def write_sound_bag(folder: Path) -> None:
+    """Write a bag, and the scene that is recorded from it."""
+    from bag_files import write_bag
+    from forge_bags import SCENE, record_bag
+
+    from omniocc.data import SceneReader
+
+    bag = write_bag(SceneReader(folder / "scenes" / SCENE), folder / "log.bag", 1)
+    succeed(*record_bag(folder, bag, folder / "recorded-bag"))
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -28,7 +28,7 @@ class BagWriter:
             self.store.register(
                 get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
             )
-        self.bag = Writer1(path) if ros == 1 else Writer2(path, version=8)
+        self.bag: Any = Writer1(path) if ros == 1 else Writer2(path, version=8)
         self.connections: dict[str, Any] = {}
 
     def __enter__(self) -> "BagWriter":
@@ -48,9 +48,15 @@ class BagWriter:
 
     def write(self, topic: str, kind: str, received_ns: int, **fields: Any) -> None:
         if topic not in self.connections:
-            self.connections[topic] = self.bag.add_connection(topic, kind, typestore=self.store)
+            self.connections[topic] = self.connect(topic, kind)
+        self.bag.write(self.connections[topic], received_ns, self.content(kind, fields))
+
+    def connect(self, topic: str, kind: str) -> Any:
+        return self.bag.add_connection(topic, kind, typestore=self.store)
+
+    def content(self, kind: str, fields: dict[str, Any]) -> bytes:
         serialize = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
-        self.bag.write(self.connections[topic], received_ns, serialize(self.make(kind, **fields), kind))
+        return bytes(serialize(self.make(kind, **fields), kind))
 
     def transforms(self, topic: str, received_ns: int, poses: list[tuple[str, str, np.ndarray]]) -> None:
         stamped = [
@@ -72,9 +78,9 @@ class BagWriter:
         return self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", quaternion, strict=True)))
 
 
-def write_bag(scene: SceneReader, path: Path, ros: int) -> Path:
+def write_bag(scene: SceneReader, path: Path, ros: int, writer: Any = BagWriter) -> Path:
     base_from_ego = np.linalg.inv(EGO_FROM_BASE)
-    with BagWriter(path, ros) as bag:
+    with writer(path, ros) as bag:
         first = stamp_ns(scene, 0)
         mounted = [("base_link", "lidar", base_from_ego @ EGO_FROM_LIDAR)]
         for name, pose in zip(scene.rig.names, scene.rig.ego_from_camera.numpy(), strict=True):

@@ -90,7 +90,7 @@ def test_a_damaged_bag_is_named(tmp_path):
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "omniocc.record.bag_reader", None)
     with pytest.raises(UserError, match=r"pip install .*'\.\[bag\]'"):
         Bag(tmp_path)
 
@@ -162,6 +162,18 @@ def test_rays_of_a_bag_that_did_not_come_back_are_no_points():
 def test_points_of_a_bag_that_are_ambiguous_are_refused(fields, words):
     with pytest.raises(DataError, match=re.escape(words)):
         cloud_of(cloud(fields, [[1, 2, 3, 3.5]]), None, "here")
+
+
+def test_points_of_a_bag_that_fill_the_memory_are_refused():
+    message = cloud(FLOATS, [[1, 2, 3, 4]])
+    message.point_step, message.width, message.row_step = 2**32 - 1, 0, 0
+    with pytest.raises(DataError, match=re.escape("here: a point has 4,294,967,295 bytes")):
+        cloud_of(message, None, "here")
+
+
+def test_many_fields_of_points_are_compared_in_no_time():
+    fields = [*FLOATS, *((f"more{number}", 0, 2) for number in range(50_000))]
+    assert cloud_of(cloud(fields, [[1, 2, 3, 4]]), None, "here").points_m.tolist() == [[1, 2, 3]]
 
 
 def test_plumb_bob_is_that_of_opencv():

@@ -89,3 +89,18 @@ def test_compressed_images_must_be_whole_and_those_of_the_camera():
     other = cv2.imencode(".png", np.zeros((48, 48, 3), np.uint8))[1].tobytes()
     with pytest.raises(DataError, match=r"the image is 48x48 px, but its camera is calibrated for 8x6 px"):
         read(compressed(other))
+
+
+def test_names_in_messages_are_shown_in_one_line():
+    for message in (raw("<b>\n" * 10**5, RAMP), compressed(b"text", "<b>\n" * 10**5)):
+        with pytest.raises(DataError) as caught:
+            read(message)
+        assert len(str(caught.value)) < 1000
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("encoding", "size"), [("yuv422", (6, 7, 2)), ("yuv422_yuy2", (6, 1, 2))])
+def test_sizes_that_an_encoding_cannot_have_are_refused(encoding, size):
+    words = rf"log\.bag, /front: an image of {size[1]}x{size[0]} px cannot have the encoding {encoding}"
+    with pytest.raises(DataError, match=words):
+        read(raw(encoding, np.zeros(size, np.uint8)))

@@ -12,7 +12,7 @@ from jaxtyping import Float64, UInt8
 from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
-from omniocc.errors import DataError, UserError, installing
+from omniocc.errors import DataError, UserError, installing, shown
 from omniocc.images import Depth
 from omniocc.record.files import ego_points, lidar_options, plain_options, stated_depth
 from omniocc.record.labels import read_point_classes
@@ -129,7 +129,7 @@ class RosBag(LogRecorder):
             facts={"recorder": "bag", "poses": self.poses, "limit_s": self.timing.limit_s},
             inputs=[
                 str(self.bag.absolute()),
-                bag.extent,
+                bag.reader.extent,
                 sorted(self.cameras.items()),
                 *given,
                 *stated_depth(self.depth),
@@ -190,32 +190,22 @@ class Bag:
 
     def __init__(self, path: Path):
         try:
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
+            from omniocc.record.bag_reader import BagReader
         except ImportError as error:
             raise UserError(f"ROS bags are read by the package rosbags: {installing('bag')}") from error
         if not path.exists():
             raise UserError(f"bag={path}: there is no such file or folder")
-        self.path = path
-        try:
-            self.reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
-        except Exception as error:  # of rosbags and of what it reads with
-            raise self._unreadable(error) from error
+        self.path, self.reader = path, BagReader(path)
 
     def __enter__(self) -> "Bag":
         try:
-            self.reader.open()
+            self.reader.__enter__()
         except Exception as error:  # of rosbags and of what it reads with
             raise self._unreadable(error) from error
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.reader.close()
-
-    @property
-    def extent(self) -> tuple[int, int, int]:
-        """Return the number of messages, and the times of receipt of the first and the last, ns."""
-        return self.reader.message_count, self.reader.start_time, self.reader.end_time
+        self.reader.__exit__()
 
     def topic(self, option: str, name: str, kinds: Sequence[str]) -> Topic:
         """Return the messages of a topic by the time in their headers, or of receipt where a header has none.
@@ -227,8 +217,10 @@ class Bag:
         found = [connection for connection in self.reader.connections if connection.topic == name]
         if not found or found[0].msgtype not in kinds:
             have = sorted({connection.topic for connection in self.reader.connections if connection.msgtype in kinds})
-            problem = f"is of type {found[0].msgtype}" if found else "is not in the bag"
-            raise UserError(f"{option}={name}: the topic {problem}; topics that fit: {', '.join(have) or 'none'}")
+            problem = f"is of type {shown(found[0].msgtype)}" if found else "is not in the bag"
+            raise UserError(
+                f"{option}={name}: the topic {problem}; topics that fit: {shown(', '.join(have)) or 'none'}"
+            )
         stamps, frame, counts = {}, None, {}
         for received_ns, message in self._messages(name):
             address = Address(name, received_ns, counts.setdefault(received_ns, 0))
@@ -242,7 +234,7 @@ class Bag:
 
     def where(self, address: Address) -> str:
         """Return the file, topic and time of a message, for error messages."""
-        return f"{self.path}, {address.topic} at {address.received_ns} ns"
+        return f"{self.path}, {shown(address.topic)} at {address.received_ns} ns"
 
     def message(self, address: Address) -> tuple[Any, str]:
         """Return a message and where it is, for error messages; raise DataError if it cannot be read."""
@@ -261,7 +253,7 @@ class Bag:
             for received_ns, message in self._messages(topic):
                 for one in message.transforms:
                     time_s = None if topic.endswith("static") else stamp_s(one) or received_ns / 1e9
-                    pose = pose_of(one.transform.translation, one.transform.rotation, f"{self.path}, {topic}")
+                    pose = pose_of(one.transform.translation, one.transform.rotation, f"{self.path}, {shown(topic)}")
                     tree.add(one.header.frame_id, one.child_frame_id, time_s, pose)
         return tree
 
@@ -271,12 +263,13 @@ class Bag:
         """Yield the time of receipt, ns, and the content of messages of a topic."""
         connections = [connection for connection in self.reader.connections if connection.topic == topic]
         try:
-            for connection, received_ns, content in self.reader.messages(connections, start_ns, stop_ns):
-                yield received_ns, self.reader.deserialize(content, connection.msgtype)
+            yield from self.reader.messages(connections, start_ns, stop_ns)
         except Exception as error:  # of rosbags and of what it reads with
             raise self._unreadable(error, topic) from error
 
     def _unreadable(self, error: Exception, topic: str = "") -> DataError:
-        where = f"{self.path}, {topic}" if topic else str(self.path)
+        if isinstance(error, DataError):
+            return error
+        where = f"{self.path}, {shown(topic)}" if topic else str(self.path)
         remedy = "'rosbag reindex' or 'ros2 bag reindex' mends bags whose recording was cut off"
-        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {error}; {remedy}")
+        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {shown(str(error))}; {remedy}")

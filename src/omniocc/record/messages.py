@@ -12,7 +12,7 @@ from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
 from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud, came_back
 from omniocc.data.formats.files import named_once, rgb_of_camera, whole_numbers
 from omniocc.data.formats.poses import quaternion_pose
-from omniocc.errors import DataError
+from omniocc.errors import DataError, shown
 from omniocc.images import Depth, eight_bits
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
@@ -28,6 +28,8 @@ WORDS = re.compile(r"(mono|rgb|bgr|rgba|bgra|bayer_(?:rggb|bggr|gbrg|grbg))(10|1
 """Encodings of samples in words of 16 bits: the same channels, and how many of the bits are used; 16 may be fewer."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numpy's names of the data types of sensor_msgs/PointField."""
+LONGEST_POINT = 1 << 20
+"""Most bytes of a point."""
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 
 
@@ -44,12 +46,12 @@ def image_of(message: Any, where: str, camera: Camera, depth: Depth) -> UInt8[np
         DataError: for other encodings, damaged images, and compressed ones of another aspect ratio than the camera's.
     """
     if hasattr(message, "format"):
-        return rgb_of_camera(bytes(message.data), f"{where} ({message.format})", camera, depth)
+        return rgb_of_camera(bytes(message.data), f"{where} ({shown(message.format)})", camera, depth)
     words = WORDS.fullmatch(message.encoding)
     encoding = f"{words[1]}8" if words else message.encoding
     if encoding != "rgb8" and encoding not in TO_RGB:
         known = f"rgb8, {', '.join(TO_RGB)}, and those of 10 to 16 bits in words"
-        raise DataError(f"{where}: the encoding {encoding} cannot be read; known are {known}")
+        raise DataError(f"{where}: the encoding {shown(encoding)} cannot be read; known are {known}")
     channels = 2 if encoding.startswith("yuv") else CHANNELS.get(encoding, 1)
     if words is None:
         pixels = _pixels(message, channels, np.dtype(np.uint8), where)
@@ -57,7 +59,11 @@ def image_of(message: Any, where: str, camera: Camera, depth: Depth) -> UInt8[np
         pixels = _pixels(message, channels, np.dtype(">u2" if message.is_bigendian else "<u2"), where)
         stated = depth if words[2] == "16" else Depth(int(words[2]), message.encoding)
         pixels = eight_bits(pixels, stated.white(int(pixels.max()), where))
-    return pixels.copy() if encoding == "rgb8" else cv2.cvtColor(pixels, TO_RGB[encoding])
+    try:
+        return pixels.copy() if encoding == "rgb8" else cv2.cvtColor(pixels, TO_RGB[encoding])
+    except cv2.error as error:  # of pairs of pixels in odd widths, and of mosaics smaller than their pattern
+        size = f"{message.width}x{message.height} px"
+        raise DataError(f"{where}: an image of {size} cannot have the encoding {message.encoding}") from error
 
 
 def _pixels(message: Any, channels: int, dtype: np.dtype, where: str) -> np.ndarray:
@@ -96,7 +102,7 @@ def camera_of(message: Any, where: str) -> Camera:
             return Pinhole(*size, focal_px, center_px)
         if model in ("plumb_bob", "radtan") and not any(coefficients[4:]) and len(coefficients) >= 4:
             return MEI(*size, focal_px, center_px, 0.0, tuple(coefficients[:4]), 180.0)
-        raise ValueError(f"the distortion {model} {coefficients} is not supported; give rig=<file> instead")
+        raise ValueError(f"the distortion {shown(f'{model} {coefficients}')} is not supported; give rig=<file> instead")
     except ValueError as error:
         raise DataError(f"{where}: {error}") from error
 
@@ -113,10 +119,12 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
     wanted = ("x", "y", "z", *labels)
     if missing := [name for name in wanted if name not in fields]:
-        raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {', '.join(fields)}")
+        raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {shown(', '.join(fields))}")
     sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
     if beyond := [name for name, end in sizes.items() if end > message.point_step]:
         raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")
+    if message.point_step > LONGEST_POINT:
+        raise DataError(f"{where}: a point has {message.point_step:,} bytes; at most {LONGEST_POINT:,} are read")
     dtype = np.dtype({
         "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
         "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from omniocc.data.formats.poses import inverse
-from omniocc.errors import UserError
+from omniocc.errors import UserError, shown
 from omniocc.record.poses import TimedPoses
 from omniocc.record.streams import interpolate
 
@@ -68,21 +68,25 @@ class FrameTree:
         for parent, child in edges:
             steps.setdefault(parent, []).append((child, (parent, child, True)))
             steps.setdefault(child, []).append((parent, (parent, child, False)))
-        ways: dict[str, list[tuple[str, str, bool]]] = {target: []}
+        before: dict[str, tuple[str, tuple[str, str, bool]] | None] = {target: None}
         queue = deque([target])
         while queue:
             here = queue.popleft()
             for other, step in steps.get(here, []):
-                if other not in ways:
-                    ways[other] = [*ways[here], step]
+                if other not in before:
+                    before[other] = here, step
                     queue.append(other)
-        if source not in ways:
-            known = ", ".join(sorted(steps)) or "none"
+        if source not in before:
+            known = shown(", ".join(sorted(steps))) or "none"
             raise UserError(
                 f"tf: there is no chain of poses from '{target}' to '{source}'; frames: {known}. A rig file "
                 "(recorder.rig) and recorder.lidar.ego_from_lidar can state what the bag does not"
             )
-        return ways[source]
+        chain = []
+        while last := before[source]:
+            source, step = last
+            chain.append(step)
+        return chain[::-1]
 
 
 def timed(samples: list[tuple[float, Float64[np.ndarray, "4 4"]]]) -> TimedPoses:

@@ -9,9 +9,9 @@ import numpy as np
 
 from omniocc.camera import Camera
 from omniocc.data.formats.arrays import npy_array, npz_arrays
-from omniocc.errors import DataError
+from omniocc.errors import DataError, shown
 from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
-from omniocc.io import check_regular, text_of
+from omniocc.io import check_regular, text_of, twice
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
@@ -86,8 +86,8 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
 
 def named_once(names: Sequence[str], where: str) -> None:
     """Raise DataError beginning with `where` if a name of fields, properties or arrays stands twice."""
-    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
-        raise DataError(f"{where} '{twice[0]}' stands twice, and it is not clear which of them is meant; rename one")
+    if (name := twice(names)) is not None:
+        raise DataError(f"{where} '{shown(name)}' stands twice, and it is not clear which of them is meant; rename one")
 
 
 def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
