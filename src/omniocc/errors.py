@@ -22,6 +22,11 @@ def shortened(text: str, most: int = LONGEST) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
+def shown(value: object) -> str:
+    """Return a value for a message, of a long one both ends."""
+    return shortened(repr(value), 80)
+
+
 def first_line(error: BaseException) -> str:
     """Return the first line of an error's text, or the name of its type if it has none."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from omniocc.classes import MOST_SHOWN
 from omniocc.geometry import Cuboid, Cylinder
 
 Array = Any
@@ -74,7 +75,7 @@ def check_labels(
         wrong &= labels != ignore_class
     if wrong.any():
         allowed = f"0..{num_classes - 1}" + ("" if ignore_class is None else f" or {ignore_class}")
-        found = labels[wrong].unique().tolist()[:8]
+        found = labels[wrong].unique().tolist()[:MOST_SHOWN]
         raise ValueError(f"{name} must hold class ids {allowed}, got {found} in {labels.dtype}")
     return labels.to(torch.uint8)
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
@@ -24,8 +25,13 @@ from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, read_weights
 
 STAGE, CONFIG = "stage", "config"
-STAGES = ("depth", "sketch", "occupancy")
 """Keys of a checkpoint beside Lightning's own."""
+STAGES = ("depth", "sketch", "occupancy")
+NUMBERS = (
+    *(torch.float16, torch.bfloat16, torch.float32, torch.float64),
+    *(torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8, torch.bool),
+)
+"""Types of weights and of the counts beside them; complex, quantized and packed ones are of no network here."""
 Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
 WORKERS = ("data.num_workers", "data.source.workers")
@@ -88,10 +94,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     stage, config, weights = content[STAGE], content[CONFIG], content["state_dict"]
     if stage not in STAGES:
         raise UserError(f"{path} names a stage that does not exist; there are {', '.join(STAGES)}")
-    if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
-        raise UserError(f"{path} is damaged: its weights are no tensors by name")
-    if any(value.is_complex() for value in weights.values()):
-        raise UserError(f"{path} is damaged: it has complex weights")
+    if not isinstance(weights, dict) or not all(_is_weight(*item) for item in weights.items()):
+        raise UserError(f"{path} is damaged: its weights are no tensors of real numbers by name")
     step = content.get("global_step")
     if not isinstance(step, int | None):
         raise UserError(f"{path} is damaged: its number of steps is no whole number")
@@ -102,6 +106,14 @@ def load_checkpoint(path: Path) -> Checkpoint:
         if isinstance(count := OmegaConf.select(tree, key, throw_on_missing=False), int):
             OmegaConf.update(tree, key, min(count, usable_cores()))
     return Checkpoint(path, stage, tree, weights, step)
+
+
+def _is_weight(name: object, value: object) -> bool:
+    """Return whether an entry of a file is a name and a tensor that holds as many numbers as its shape says."""
+    if not isinstance(name, str) or not isinstance(value, Tensor):
+        return False
+    plain = value.layout == torch.strided and value.device.type == "cpu" and value.dtype in NUMBERS
+    return plain and value.nbytes <= value.untyped_storage().nbytes()  # one number may stand for all of them
 
 
 def load_weights(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError, first_line, shortened
+from omniocc.errors import DataError, first_line, shown
 from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
@@ -24,8 +24,6 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 CHUNK_BYTES = 1 << 22
 MIB = 1 << 20
-SHOWN = 200
-"""Characters of a wrong record that a message shows."""
 
 VALIDATION = (
     (3, 3), (12, 18), (35, 36), (38, 39), (92, 110), (221, 221), (268, 278), (329, 332), (344, 346), (519, 524),
@@ -104,7 +102,7 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
                         place = begin  # the record goes on in the next chunk
                         break
                     if not isinstance(record, dict) or None in record.values():
-                        raise ValueError(f"a record holds no value, or null: {shortened(str(record), SHOWN)}")
+                        raise ValueError(f"a record holds no value, or null: {shown(record)}")
                     yield record
                 text = text[place:]
     except FileNotFoundError as error:
