@@ -98,6 +98,13 @@ def test_json_has_every_key_once():
         parse_json("[" * 200_000)
 
 
+def test_whole_numbers_are_those_that_a_float_holds():
+    assert parse_json(f"[1, {10**308}, true, 0.5]") == [1, 10**308, True, 0.5]
+    assert [type(value) for value in parse_yaml("[1, true, 0x10, null]")] == [int, bool, int, type(None)]
+    with pytest.raises(ValueError, match="a whole number has more than 308 digits"):
+        parse_json(f'{{"a": {10**309}}}')
+
+
 @pytest.mark.parametrize(
     ("text", "number"), [("1", 1.0), (" -2.5e-3 ", -2.5e-3), ("+.5", 0.5), ("7.", 7.0), ("1E5", 1e5)]
 )

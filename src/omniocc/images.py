@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image
 
-from omniocc.errors import DataError, UserError
+from omniocc.errors import DataError, UserError, first_line
 from omniocc.io import read_bytes
 
 KINDS = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
@@ -178,12 +178,11 @@ def read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "height wid
 
 
 def _mask_of_array(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
-    if not path.is_file():
-        raise DataError(f"{path}: there is no such file")
+    content = content_of(path)
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        values = np.load(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # numpy has errors of its own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+        raise DataError(f"{path}: the file is damaged ({first_line(error)})") from error
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "buif":
         raise DataError(f"{path}: a mask must be a matrix of numbers or truth values, of height x width")
     _check_size((values.shape[1], values.shape[0]), size, path)

@@ -166,7 +166,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
         (POSE, "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "determinant -1"),
         (POSE, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,1]]", "last row"),
         (POSE, "[1, 2, 3]", r"ego_from_camera is \[1, 2, 3\]"),
-        (POSE, POSE + "\n    mask: none.png", "none.png.*exist"),
+        (POSE, POSE + "\n    mask: none.png", "none.png: the file is missing"),
         (POSE, POSE + "\n    mask: wrong.png", "wrong.png.*5x4 px.*40x20 px"),
     ],
 )

@@ -88,8 +88,9 @@ def check_mask(name: str, mask: Tensor | None, shape: torch.Size) -> None:
 
 def check_origins(name: str, origins_m: Tensor) -> None:
     """Raise ValueError with `name` unless all starts of rays (..., 3) are finite: other rays would just hit nothing."""
-    if not bool(origins_m.isfinite().all()):
-        wrong = origins_m.reshape(-1, 3)[~origins_m.reshape(-1, 3).isfinite().all(dim=1)]
+    starts = origins_m.reshape(-1, 3)
+    wrong = starts[~starts.isfinite().all(dim=1)]
+    if len(wrong):
         raise ValueError(f"{name} must be finite, got {wrong[0].tolist()} among {len(wrong)} that are not")
 
 

@@ -125,8 +125,6 @@ def single(camera: Camera, name: str) -> Calibration:
 
 def read_mask_of(name: str, file: Path, camera: Camera) -> Bool[Tensor, "height width"]:
     """Return where a mask is not 0; raise ValueError, with `name`, if missing, unreadable or of another size."""
-    if not file.exists():
-        raise ValueError(f"{name} {file} does not exist")
     try:
         return torch.from_numpy(read_mask(file, (camera.width, camera.height)))
     except DataError as error:
