@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from omniocc.errors import shown
-
 FREE = 0
 """Id of free space in every table."""
 UNKNOWN = 255
@@ -99,7 +97,7 @@ class ClassTable:
         try:
             rows = [SemanticClass(int(key), row["name"], tuple(row["rgb"])) for key, row in data.items()]
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"a class table must map ids to name and rgb, got {shown(data)}") from error
+            raise ValueError(f"a class table must map ids to name and rgb, got {repr(data)[:200]}") from error
         return cls(tuple(sorted(rows, key=lambda row: row.id)))
 
 

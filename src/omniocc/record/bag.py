@@ -118,6 +118,7 @@ class RosBag(LogRecorder):
             return image_of(message, where, rig.cameras[camera], self.depth), where
 
         scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
+        given = [*given, *stated_depth(self.depth)]
         return Log(
             place=str(self.bag),
             rig=rig,
@@ -127,13 +128,7 @@ class RosBag(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_base),
             scans=scans,
             facts={"recorder": "bag", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[
-                str(self.bag.absolute()),
-                bag.extent,
-                sorted(self.cameras.items()),
-                *given,
-                *stated_depth(self.depth),
-            ],
+            inputs=[str(self.bag.absolute()), bag.extent, sorted(self.cameras.items()), *given],
         )
 
     def _rig(self, bag: "Bag", tree: FrameTree, topics: Mapping[str, Topic]) -> Rig:

@@ -168,13 +168,8 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
             raise DataError(f"{path}: there are two records of scene '{name}'; keep one")
         path = tables / "sample.json"
         rows = (r for r in records(path, progress) if r["scene_token"] in scenes)
-        samples = once(
-            path,
-            (
-                (checked_name(f"{path}: token", r["token"]), (scenes[r["scene_token"]], int(r["timestamp"])))
-                for r in rows
-            ),
-        )
+        named = ((checked_name(f"{path}: token", r["token"]), r) for r in rows)
+        samples = once(path, ((token, (scenes[r["scene_token"]], int(r["timestamp"]))) for token, r in named))
         path = tables / "sensor.json"
         channels = once(path, ((r["token"], r["channel"]) for r in records(path)))
         path = tables / "calibrated_sensor.json"
