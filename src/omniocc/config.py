@@ -381,7 +381,8 @@ def fits(value: Any, hint: Any) -> bool:
     if hint in (bool, str, type(None)):
         return isinstance(value, hint)
     if hint in (int, float):
-        return isinstance(value, (int, hint)) and not isinstance(value, bool)
+        number = isinstance(value, (int, hint)) and not isinstance(value, bool)
+        return number and (isinstance(value, float) or abs(value) <= sys.float_info.max)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Literal:
         return value in arguments

@@ -195,9 +195,9 @@ def test_building_from_a_file_has_bounds(tmp_path):
 
 
 def test_views_of_one_number_give_no_room_to_build(tmp_path):
-    one = torch.ones(1000)
-    with pytest.raises(UserError, match="names sizes"), building(tmp_path / "a", {str(k): one for k in range(10**5)}):
-        np.zeros(3 * 10**8)
+    one = torch.ones(1).expand(2**60)
+    with pytest.raises(UserError, match="names sizes"), building(tmp_path / "a", {"a": one, "b": one}):
+        np.zeros(10**10)
 
 
 @pytest.mark.parametrize(
@@ -207,12 +207,11 @@ def test_views_of_one_number_give_no_room_to_build(tmp_path):
         ("model.weight", torch.eye(2).to_sparse()),
         ("model.weight", torch.eye(2).to(torch.float8_e4m3fn)),
         ("model.weight", torch.eye(2, device="meta")),
-        ("model.weight", torch.ones(1).expand(2**60)),
         ("model.weight", torch.eye(2) * 1j),
         ("model.weight", [1.0]),
     ],
 )
-def test_weights_are_tensors_of_as_many_numbers_as_they_say(name, weight, tmp_path):
+def test_weights_are_tensors_in_which_a_network_computes(name, weight, tmp_path):
     with pytest.raises(UserError, match=r"a\.ckpt is damaged: its weights are no tensors of real numbers by name"):
         load_checkpoint(write(tmp_path / "a.ckpt", {}, weights={name: weight}))
 

@@ -27,11 +27,8 @@ from omniocc.run.weights import SUFFIX, read_weights
 STAGE, CONFIG = "stage", "config"
 """Keys of a checkpoint beside Lightning's own."""
 STAGES = ("depth", "sketch", "occupancy")
-NUMBERS = (
-    *(torch.float16, torch.bfloat16, torch.float32, torch.float64),
-    *(torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8, torch.bool),
-)
-"""Types of weights and of the counts beside them; complex, quantized and packed ones are of no network here."""
+FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+"""Types of weights with fractions; torch does not compute in the others, of 8 bits or fewer."""
 Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
 WORKERS = ("data.num_workers", "data.source.workers")
@@ -109,11 +106,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def _is_weight(name: object, value: object) -> bool:
-    """Return whether an entry of a file is a name and a tensor that holds as many numbers as its shape says."""
+    """Return whether an entry of a file is a name and a tensor of numbers in memory that a network can have."""
     if not isinstance(name, str) or not isinstance(value, Tensor):
         return False
-    plain = value.layout == torch.strided and value.device.type == "cpu" and value.dtype in NUMBERS
-    return plain and value.nbytes <= value.untyped_storage().nbytes()  # one number may stand for all of them
+    whole = not (value.is_floating_point() or value.is_complex() or value.is_quantized)
+    return value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
 
 
 def load_weights(

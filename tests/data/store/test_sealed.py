@@ -98,7 +98,7 @@ def test_a_lidar_has_as_many_hits_as_rays(count, tmp_path):
         ({"velocity_mps": [0, 0, 0]}, r"the velocity_mps of a box is \[0, 0, 0\]; it must be 2 numbers"),
         ({"size_m": "abc"}, "the size_m of a box is 'abc'; it must be 3 numbers"),
         ({"yaw_rad": None}, "the yaw_rad of a box is None; it must be a finite number"),
-        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{99}[.]{3}; it must be a finite number"),
+        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{39} ... 0{40}; it must be a finite number"),
         ({"label": "Road"}, "the label of a box is 'Road'; it must be a whole number"),
         ({"id": True}, "the id of a box is True; it must be a whole number"),
     ],
@@ -128,7 +128,7 @@ def test_numbers_that_no_float_holds_are_not_finite():
     [
         (["a", "b"], "'panorama_edges_deg' is 'a'; it must be a finite number"),
         ([NAN, -45.0], "'panorama_edges_deg' is nan; it must be a finite number"),
-        ([10**400, -45.0], "'panorama_edges_deg' is 10*[.]{3}; it must be a finite number"),
+        ([10**400, -45.0], "'panorama_edges_deg' is 10* ... 0*; it must be a finite number"),
         ([45.0], r"'panorama_edges_deg' is \[45.0\]; it must be two numbers"),
         ([-45.0, 45.0], "top_deg -45.0 and bottom_deg 45.0: need"),
         ([450.0, -45.0], "top_deg 450.0 and bottom_deg -45.0: need"),
@@ -154,7 +154,7 @@ def _classes(key: str, **row: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("virtual", "'spec' holds no table of classes: virtual"),
+        ("virtual", "'spec' holds no table of classes: 'virtual'"),
         ({"classes": [1, 2]}, "'spec' holds no table of classes: "),
         ({"classes": {"0": 1}}, "a class table must map ids to name and rgb, got {'0': 1}"),
         (_classes("1", name=7), "class 1 has the name 7; names must be printable text"),
