@@ -8,6 +8,8 @@ from omniocc.io import MOST_BYTES, number_of, parse_json, parse_yaml, read_short
 
 LAUGHS = "a0: &a0 [x, x, x]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
 MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k}\n  <<: [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
+LONG = f"a: &a {'x' * 100_000}\nb: [{', '.join(['*a'] * 1000)}]"
+DEEP = "a0: &a0 [x]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}]\n" for k in range(1, 990))
 
 
 @pytest.mark.parametrize(
@@ -38,6 +40,9 @@ def test_plain_yaml_is_read(text, content):
         ("".join(f"{' ' * k}a:\n" for k in range(1000)), "line 101: it is nested in more than 100 levels"),
         (LAUGHS, "it holds more than 500,000 values"),
         (MERGED, "it holds more than 500,000 values"),
+        (LONG, "it holds more than 500,000 values"),
+        (DEEP, "line 100: it is nested in more than 100 levels"),
+        (f"a: 1\nb: 0x{'f' * 5000}", f"line 2: '0x{'f' * 37} ... {'f' * 39}' is no int"),
         ("a: &a [1, *a]", "line 1: '*a' stands in itself"),
         ("a: 1\nb: !!python/object/apply:os.system [ls]", "line 2: the tag 'tag:yaml.org,2002:python/object/apply:"),
         ("a: !own 1", "line 1: the tag '!own' is none of plain data"),
@@ -90,6 +95,10 @@ def test_json_has_every_key_once():
         parse_json('{"a": [{"b": 1, "c": 2, "b": 1}]}')
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json("[" * 200_000)
+
+
+def test_values_keep_their_types():
+    assert [type(value) for value in parse_yaml("[1, true, 0x10, null]")] == [int, bool, int, type(None)]
 
 
 @pytest.mark.parametrize(

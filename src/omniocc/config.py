@@ -381,7 +381,9 @@ def fits(value: Any, hint: Any) -> bool:
     if hint in (bool, str, type(None)):
         return isinstance(value, hint)
     if hint in (int, float):
-        return isinstance(value, (int, hint)) and not isinstance(value, bool)
+        if isinstance(value, int) and not isinstance(value, bool):
+            return abs(value) <= sys.float_info.max
+        return isinstance(value, hint) and not isinstance(value, bool)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Literal:
         return value in arguments

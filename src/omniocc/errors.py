@@ -24,9 +24,14 @@ def shortened(text: str, most: int = LONGEST) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
-def shown(text: str) -> str:
+def in_line(text: str) -> str:
     """Return a text of a file for a message: one line, no control characters, shortened."""
     return shortened(text if text.isprintable() else repr(text)[1:-1], LONGEST_OF_FILES)
+
+
+def shown(value: object) -> str:
+    """Return a value for a message, of a long one both ends."""
+    return shortened(repr(value), 80)
 
 
 def first_line(error: BaseException) -> str:

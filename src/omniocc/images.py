@@ -5,7 +5,6 @@ Every reader of image files, in any format and of any dataset, goes through this
 
 import io
 import re
-import stat
 import warnings
 from collections import defaultdict
 from collections.abc import Callable
@@ -18,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image
 
-from omniocc.errors import DataError
+from omniocc.errors import DataError, UserError, first_line
+from omniocc.io import read_bytes
 
 KINDS = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 """Formats beside TIFF, by their names in Pillow, which reads their headers."""
@@ -66,7 +66,7 @@ class Depth:
         key: option that states them, for messages; empty: there is none.
 
     Raises:
-        ValueError: naming the option, if the number is impossible.
+        UserError: naming the option, if the number is impossible.
     """
 
     bits: int | None = None
@@ -74,7 +74,7 @@ class Depth:
 
     def __post_init__(self) -> None:
         if self.bits is not None and not 8 <= self.bits <= 16:
-            raise ValueError(f"{self.key or 'bits'} is {self.bits}; it must be 8 to 16, or null: not known")
+            raise UserError(f"{self.key or 'bits'} is {self.bits}; it must be 8 to 16, or null: not known")
 
     def white(self, largest: int, where: str) -> int:
         """Return the value of white in an image of 16 bits whose largest value is `largest`.
@@ -95,16 +95,8 @@ UNKNOWN_DEPTH = Depth()
 
 
 def content_of(path: Path, remedy: str = "") -> bytes:
-    """Return the content of an image file; raise DataError, with the remedy, if there is no regular file to read."""
-    try:
-        status = path.stat()
-        if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES:  # a FIFO never answers, a device never ends
-            return path.read_bytes()
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}") from error
-    except OSError as error:
-        raise DataError(f"{path}: the file cannot be read ({error.strerror or error})") from error
-    raise DataError(f"{path}: this is no regular file of at most {MOST_BYTES / 1e9:.1f} GB, so no image that is read")
+    """Return the content of an image file; raise DataError as `read_bytes`, and if it is longer than images are."""
+    return read_bytes(path, remedy, MOST_BYTES)
 
 
 def size_of(content: bytes, where: str) -> tuple[int, int]:
@@ -186,12 +178,11 @@ def read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "height wid
 
 
 def _mask_of_array(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
-    if not path.is_file():
-        raise DataError(f"{path}: there is no such file")
+    content = content_of(path)
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        values = np.load(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # numpy has errors of its own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+        raise DataError(f"{path}: the file is damaged ({first_line(error)})") from error
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "buif":
         raise DataError(f"{path}: a mask must be a matrix of numbers or truth values, of height x width")
     _check_size((values.shape[1], values.shape[0]), size, path)

@@ -10,6 +10,7 @@ import re
 import secrets
 import shutil
 import stat
+import sys
 from collections.abc import Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -17,7 +18,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, UserError, first_line, shortened
+from omniocc.errors import DataError, UserError, first_line, shown
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -25,6 +26,8 @@ MOST_LEVELS = 100
 """Deepest nesting of YAML that is read; the parser in C has no limit of its own and overflows its stack."""
 MOST_VALUES = 500_000
 """Most values in a file of YAML, with those that aliases (`*name`) repeat: a few lines can stand for billions."""
+LONG_VALUE = 100
+"""Characters of a value that count as one more: aliases repeat long texts as well."""
 
 YAML: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """Loader of YAML of our own: that of the C library where it is there, which takes an eighth of the time."""
@@ -32,8 +35,6 @@ _AS_TEXT = ("tag:yaml.org,2002:merge", "tag:yaml.org,2002:value")  # of the keys
 Name = TypeVar("Name", bound=Hashable)
 
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
-SHOWN_OF_NUMBER = 80
-"""Characters of a number that a message shows."""
 NAME_BYTES = 100
 """Most bytes of a name; those of files and folders, which add to it, may have 255."""
 NOT_IN_NAMES = frozenset('/\\<>:"|?*')
@@ -58,9 +59,8 @@ def checked_name(what: str, name: object) -> str:
     """
     if isinstance(name, str) and _can_be_in_paths(name):
         return name
-    shown = repr(name) if len(repr(name)) <= NAME_BYTES else f"{repr(name)[:NAME_BYTES]}..."
     raise UserError(
-        f"{what} is {shown}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
+        f"{what} is {shown(name)}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
         f"{' '.join(sorted(NOT_IN_NAMES))}, no point first, no space first or last"
     )
 
@@ -204,7 +204,7 @@ def number_of(text: str) -> float:
         ValueError: if it is no finite number as files have them: Python also reads `1_0` and digits of other scripts.
     """
     if not NUMBER.fullmatch(text.strip()) or not math.isfinite(value := float(text)):
-        raise ValueError(f"{shortened(text, SHOWN_OF_NUMBER)!r} is no finite number")
+        raise ValueError(f"{shown(text)} is no finite number")
     return value
 
 
@@ -218,6 +218,23 @@ def text_of(content: bytes) -> str:
         line = content.count(b"\n", 0, wrong) + 1
         raise ValueError(f"it is no text in UTF-8: line {line} holds the byte 0x{content[wrong]:02x}")
     return text.lstrip("\ufeff")
+
+
+def read_bytes(path: Path, remedy: str = "", most_bytes: int = sys.maxsize) -> bytes:
+    """Return the content of a file; raise DataError, with the remedy if it is missing, if it cannot be read."""
+    try:
+        check_regular(path)
+        size = path.stat().st_size
+        if size <= most_bytes:
+            with contextlib.suppress(MemoryError):
+                return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}") from error
+    except DataError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path}: the file cannot be read ({error.strerror or error})") from error
+    raise DataError(f"{path}: the file has {size:,} bytes, more than can be read")
 
 
 def read_short_text(path: Path) -> str:
@@ -283,25 +300,30 @@ def _reason(error: yaml.YAMLError) -> str:
 def _check_extent(text: str) -> None:
     """Raise YAMLError where a text of YAML is nested too deeply or holds too much, or an alias repeats itself."""
     values = 0  # with all that aliases stand for
-    begun: list[tuple[str | None, int]] = []
-    sizes: dict[str | None, int] = {}  # by anchor
+    begun: list[tuple[str | None, int, list[int]]] = []  # anchor, values before, levels of its parts
+    known: dict[str | None, tuple[int, int]] = {}  # values and levels, by anchor
     for event in yaml.parse(text, YAML):
-        problem = None
+        problem, size, levels = None, 0, 0
         if isinstance(event, yaml.AliasEvent):
-            problem = f"'*{event.anchor}' stands in itself" if event.anchor in dict(begun) else None
-            values += sizes.get(event.anchor, 0)
+            if event.anchor in (anchor for anchor, _, _ in begun):
+                problem = f"'*{event.anchor}' stands in itself"
+            size, levels = known.get(event.anchor, (0, 0))
         elif isinstance(event, yaml.CollectionStartEvent):
-            begun.append((event.anchor, values))
-            values += 1
+            begun.append((event.anchor, values, [0]))
+            size = 1
         elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, before = begun.pop()
-            sizes[anchor] = values - before
+            anchor, before, parts = begun.pop()
+            levels = max(parts) + 1
+            known[anchor] = values - before, levels
         elif isinstance(event, yaml.ScalarEvent):
-            values += 1
-            sizes[event.anchor] = 1
+            size = 1 + len(event.value) // LONG_VALUE
+            known[event.anchor] = size, 0
+        values += size
+        if begun:
+            begun[-1][2].append(levels)
         if values > MOST_VALUES:
             problem = f"it holds more than {MOST_VALUES:,} values, with those that aliases (*name) repeat"
-        if len(begun) > MOST_LEVELS:
+        if len(begun) + levels > MOST_LEVELS:
             problem = f"it is nested in more than {MOST_LEVELS} levels"
         if problem is not None:
             raise ConstructorError(problem=problem, problem_mark=event.start_mark)
@@ -327,9 +349,12 @@ class _Loader(YAML):
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         """Return the value of a node; raise YAMLError if there is none, as of the date 2024-13-45."""
         try:
-            return super().construct_object(node, deep)
+            value = super().construct_object(node, deep)
+            if isinstance(value, int):
+                str(value)  # ValueError for thousands of hexadecimal digits, which no message could show
+            return value
         except (AttributeError, KeyError, ValueError) as error:
-            problem = f"{str(node.value)[:40]!r} is no {node.tag.rpartition(':')[2]}"
+            problem = f"{shown(node.value)} is no {node.tag.rpartition(':')[2]}"
             raise ConstructorError(problem=problem, problem_mark=node.start_mark) from error
 
 

@@ -307,7 +307,7 @@ def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
         (OMNIMVS, "max_fov: 220.0", "max_fov: 400.0", "cam1: max_angle_deg is 200.0"),
         (OMNIMVS, 'model: "ocam"', 'model: "pinhole"', "cam1: model is 'pinhole'"),
         (OMNIMVS, OMNIMVS[OMNIMVS.index("cameras:") :], "cameras: []", "cameras.*empty"),
-        (OMNIMVS, "cam_id: 2", "cam_id: 1", "cam1 stands twice in cameras"),
+        (OMNIMVS, "cam_id: 2", "cam_id: 1", "camera 'cam1' stands twice"),
         (OPENCV, "resolution:", "camera_matrix: 1\nresolution:", "the key 'camera_matrix' is in line 3 already"),
         (ROS, "cols: 3, data", "cols: 3, cols: 3, data", "line 5: the key 'cols' is in line 5 already"),
         (KALIBR, "cam2:", "cam1:", "the key 'cam1' is in line 10 already"),

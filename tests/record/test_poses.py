@@ -92,7 +92,7 @@ def test_unit_in_the_header_of_times_of_kitti(read):
         ("time,x,y,z,qx,qy,qz,qw\n1_0,1,2,3,0,0,0,1", "line 2: '1_0' is no finite number"),
         ("time,x,y,z,qx,qy,qz,qw\n1,1e300,2,3,0,0,0,1", "line 2: the pose: its position is 1e+300 m away"),
         (f"1,{'1' * 5000},2,3,1,0,0,0", "line 1: a cell has 5,000 characters; it must have at most 1,000"),
-        ("1" * 900 + ",1,2,3,1,0,0,0", "line 1: '1111111111111111111111111111111111111111 ... 111"),
+        ("1" * 900 + ",1,2,3,1,0,0,0", "line 1: '111111111111111111111111111111111111111 ... 111"),
         ("time,x,y,z,qx,qy,qz,qw\n", "the file holds no poses"),
         ("a" * 200_000 + ",1", "line 1: field larger than field limit"),
         ("time\0,x", "line 1 holds the byte 0x00"),

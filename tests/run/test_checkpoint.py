@@ -188,6 +188,28 @@ def test_building_from_a_file_has_bounds(tmp_path):
     assert resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY
 
 
+def test_views_of_one_number_give_no_room_to_build(tmp_path):
+    one = torch.ones(1).expand(2**60)
+    with pytest.raises(UserError, match="names sizes"), building(tmp_path / "a", {"a": one, "b": one}):
+        np.zeros(10**10)
+
+
+@pytest.mark.parametrize(
+    ("name", "weight"),
+    [
+        (5, torch.eye(2)),
+        ("model.weight", torch.eye(2).to_sparse()),
+        ("model.weight", torch.eye(2).to(torch.float8_e4m3fn)),
+        ("model.weight", torch.eye(2, device="meta")),
+        ("model.weight", torch.eye(2) * 1j),
+        ("model.weight", [1.0]),
+    ],
+)
+def test_weights_are_tensors_in_which_a_network_computes(name, weight, tmp_path):
+    with pytest.raises(UserError, match=r"a\.ckpt is damaged: its weights are no tensors of real numbers by name"):
+        load_checkpoint(write(tmp_path / "a.ckpt", {}, weights={name: weight}))
+
+
 def test_members_that_would_grow_are_refused(tmp_path):
     path = tmp_path / "a.ckpt"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as members:

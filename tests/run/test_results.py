@@ -42,12 +42,19 @@ def test_a_run_of_another_commit_is_named(tmp_path):
     assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"
 
 
+def test_a_score_that_no_float_holds_is_refused(tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": 10**400}}))
+    with pytest.raises(UserError, match=r"metrics\.json is damaged \(int too large"):
+        load_results(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("fact", "value"),
     [
         ("seed", {"a": 1}),
         ("seed", "1"),
         ("minutes of training", "a"),
+        ("minutes of training", 10**400),
         ("protocol", "rays"),
         ("protocol", {"rayiou": "<script>"}),
         ("classes", [1]),

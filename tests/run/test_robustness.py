@@ -1,3 +1,4 @@
+import json
 import math
 
 import numpy as np
@@ -90,3 +91,8 @@ def test_damaged_files_are_named(tmp_path, capsys):
     broken.write_text("{}")
     assert [record.system for record in read_robustness(tmp_path)] == ["ours-12345678", "tiny"]
     assert f"left out: {broken} is damaged" in capsys.readouterr().err
+    content = json.loads((tmp_path / "robustness-tiny" / "robustness.json").read_text())
+    content["parts"][0]["scores"]["rayiou"] = 10**400
+    broken.write_text(json.dumps(content))
+    with pytest.raises(UserError, match=r"robustness\.json is damaged \(int too large"):
+        load_robustness(broken)

@@ -7,8 +7,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-MOST_SHOWN = 100
-"""Most characters of a wrong value that messages show."""
+from omniocc.errors import shown
 
 
 @runtime_checkable
@@ -40,12 +39,6 @@ class Camera(Protocol):
     def resized(self, width: int, height: int) -> "Camera":
         """Return the same camera with its image scaled to another size, in px."""
         ...
-
-
-def shown(value: object) -> str:
-    """Return a value as messages show it: of a long one the first characters."""
-    text = repr(value)
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
 def finite(name: str, value: object) -> float:

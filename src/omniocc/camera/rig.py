@@ -17,7 +17,7 @@ from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
 from omniocc.camera.rig_file import Calibration, read_rig, write_rig
 from omniocc.images import MOST_PIXELS
-from omniocc.io import checked_name
+from omniocc.io import checked_name, twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Rig:
             )
         for name in self.names:
             checked_name("the name of a camera", name)
-        if len(set(self.names)) != count:
-            raise ValueError(f"camera names {list(self.names)} are not unique")
+        if (name := twice(self.names)) is not None:
+            raise ValueError(f"camera '{name}' stands twice; keep one")
         if self.masks is not None and len(self.masks) != count:
             raise ValueError(
                 f"{len(self.masks)} masks for {count} cameras; give one each, None for a camera without a mask"

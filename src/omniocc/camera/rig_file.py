@@ -47,7 +47,8 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
-from omniocc.io import atomic_write, checked_name, read_short_text, twice
+from omniocc.errors import shown
+from omniocc.io import atomic_write, checked_name, read_short_text
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -86,8 +87,6 @@ def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibrat
             if not isinstance(name, str) and not re.search(rf"(?<![\w.+-]){name}\s*:", text):
                 raise ValueError(f"the name of a camera reads as {name!r}; write it in quotes")
         names = tuple(checked_name("the name of a camera", str(name)) for name in entries)
-        if name := twice(names):
-            raise ValueError(f"camera '{name}' stands twice; keep one")
     read = [_read_entry([*within, file], name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
     known = None if all(mask is None for mask in masks) else masks
@@ -173,7 +172,7 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
         return pose_from_angles((x, y, z), yaw, pitch, roll)
     if not isinstance(value, list) or len(value) != 4:
         raise ValueError(
-            f"ego_from_camera is {value!r}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
+            f"ego_from_camera is {shown(value)}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
         )
     rows = [numbers("a row of ego_from_camera", row, 4, 4) for row in value]
     pose = torch.tensor(rows, dtype=torch.float64)

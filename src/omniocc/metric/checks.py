@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from omniocc.classes import MOST_SHOWN
 from omniocc.geometry import Cuboid, Cylinder
 
 Array = Any
@@ -74,7 +75,7 @@ def check_labels(
         wrong &= labels != ignore_class
     if wrong.any():
         allowed = f"0..{num_classes - 1}" + ("" if ignore_class is None else f" or {ignore_class}")
-        found = labels[wrong].unique().tolist()[:8]
+        found = labels[wrong].unique().tolist()[:MOST_SHOWN]
         raise ValueError(f"{name} must hold class ids {allowed}, got {found} in {labels.dtype}")
     return labels.to(torch.uint8)
 
@@ -87,8 +88,9 @@ def check_mask(name: str, mask: Tensor | None, shape: torch.Size) -> None:
 
 def check_origins(name: str, origins_m: Tensor) -> None:
     """Raise ValueError with `name` unless all starts of rays (..., 3) are finite: other rays would just hit nothing."""
-    if not bool(origins_m.isfinite().all()):
-        wrong = origins_m.reshape(-1, 3)[~origins_m.reshape(-1, 3).isfinite().all(dim=1)]
+    starts = origins_m.reshape(-1, 3)
+    wrong = starts[~starts.isfinite().all(dim=1)]
+    if len(wrong):
         raise ValueError(f"{name} must be finite, got {wrong[0].tolist()} among {len(wrong)} that are not")
 
 

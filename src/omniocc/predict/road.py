@@ -24,11 +24,6 @@ def check_within(value: object) -> float:
     return float(value)
 
 
-def tells_road(model: nn.Module, rig: Rig) -> bool:
-    """Return whether a depth network is told the height of the road, which only some take and not every rig states."""
-    return bool(getattr(model, "hints", False)) and rig.road_z_m is not None
-
-
 def flat_road_m(panorama: Equirectangular, road_z_m: float) -> Float[Tensor, "h w"]:
     """Return the range of a flat road in every direction, m; infinite above the horizon."""
     down = panorama.rays()[..., 2]
@@ -72,7 +67,7 @@ def road_line(range_m: Float[Tensor, "h w"], panorama: Equirectangular, road_z_m
 
 def on_road(depth: DepthMap, model: nn.Module, rig: Rig, within: float) -> DepthMap:
     """Return a frame's depth with `pulled_to_road`, if the network is told the height and `within` is above 0."""
-    if within == 0 or not tells_road(model, rig):
+    if within == 0 or rig.road_z_m is None or not getattr(model, "hints", False):
         return depth
-    flat_m = flat_road_m(cast(Equirectangular, model.panorama), cast(float, rig.road_z_m))
+    flat_m = flat_road_m(cast(Equirectangular, model.panorama), rig.road_z_m)
     return pulled_to_road(depth, cast(Spheres, model.rig_spheres(rig)), flat_m, within)  # type: ignore[operator]

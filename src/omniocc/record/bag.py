@@ -12,7 +12,7 @@ from jaxtyping import Float64, UInt8
 from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
-from omniocc.errors import DataError, UserError, installing, shown
+from omniocc.errors import DataError, UserError, in_line, installing
 from omniocc.images import Depth
 from omniocc.record.files import ego_points, lidar_options, plain_options, stated_depth
 from omniocc.record.labels import read_point_classes
@@ -118,6 +118,7 @@ class RosBag(LogRecorder):
             return image_of(message, where, rig.cameras[camera], self.depth), where
 
         scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
+        given = [*given, *stated_depth(self.depth)]
         return Log(
             place=str(self.bag),
             rig=rig,
@@ -217,9 +218,9 @@ class Bag:
         found = [connection for connection in self.reader.connections if connection.topic == name]
         if not found or found[0].msgtype not in kinds:
             have = sorted({connection.topic for connection in self.reader.connections if connection.msgtype in kinds})
-            problem = f"is of type {shown(found[0].msgtype)}" if found else "is not in the bag"
+            problem = f"is of type {in_line(found[0].msgtype)}" if found else "is not in the bag"
             raise UserError(
-                f"{option}={name}: the topic {problem}; topics that fit: {shown(', '.join(have)) or 'none'}"
+                f"{option}={name}: the topic {problem}; topics that fit: {in_line(', '.join(have)) or 'none'}"
             )
         stamps, frame, counts = {}, None, {}
         for received_ns, message in self._messages(name):
@@ -234,7 +235,7 @@ class Bag:
 
     def where(self, address: Address) -> str:
         """Return the file, topic and time of a message, for error messages."""
-        return f"{self.path}, {shown(address.topic)} at {address.received_ns} ns"
+        return f"{self.path}, {in_line(address.topic)} at {address.received_ns} ns"
 
     def message(self, address: Address) -> tuple[Any, str]:
         """Return a message and where it is, for error messages; raise DataError if it cannot be read."""
@@ -253,7 +254,7 @@ class Bag:
             for received_ns, message in self._messages(topic):
                 for one in message.transforms:
                     time_s = None if topic.endswith("static") else stamp_s(one) or received_ns / 1e9
-                    pose = pose_of(one.transform.translation, one.transform.rotation, f"{self.path}, {shown(topic)}")
+                    pose = pose_of(one.transform.translation, one.transform.rotation, f"{self.path}, {in_line(topic)}")
                     tree.add(one.header.frame_id, one.child_frame_id, time_s, pose)
         return tree
 
@@ -270,6 +271,6 @@ class Bag:
     def _unreadable(self, error: Exception, topic: str = "") -> DataError:
         if isinstance(error, DataError):
             return error
-        where = f"{self.path}, {shown(topic)}" if topic else str(self.path)
+        where = f"{self.path}, {in_line(topic)}" if topic else str(self.path)
         remedy = "'rosbag reindex' or 'ros2 bag reindex' mends bags whose recording was cut off"
-        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {shown(str(error))}; {remedy}")
+        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {in_line(str(error))}; {remedy}")

@@ -115,6 +115,7 @@ class LogFiles(LogRecorder):
             return rgb_of_camera(content_of(path), str(path), rig.cameras[camera], self.depth), str(path)
 
         scans, given = (None, []) if self.lidar is None else self._scans(self.lidar, table)
+        given = [*given, *stated_depth(self.depth)]
         yield Log(
             place=str(self.folder),
             rig=rig,
@@ -124,12 +125,7 @@ class LogFiles(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_pose_frame),
             scans=scans,
             facts={"recorder": "files", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[
-                str(self.folder.absolute()),
-                *(listing(stream, self.folder) for stream in images),
-                *given,
-                *stated_depth(self.depth),
-            ],
+            inputs=[str(self.folder.absolute()), *(listing(stream, self.folder) for stream in images), *given],
         )
 
     def _rig(self) -> Rig:

@@ -12,7 +12,7 @@ from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
 from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud, came_back
 from omniocc.data.formats.files import named_once, rgb_of_camera, whole_numbers
 from omniocc.data.formats.poses import quaternion_pose
-from omniocc.errors import DataError, shown
+from omniocc.errors import DataError, in_line
 from omniocc.images import Depth, eight_bits
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
@@ -46,12 +46,12 @@ def image_of(message: Any, where: str, camera: Camera, depth: Depth) -> UInt8[np
         DataError: for other encodings, damaged images, and compressed ones of another aspect ratio than the camera's.
     """
     if hasattr(message, "format"):
-        return rgb_of_camera(bytes(message.data), f"{where} ({shown(message.format)})", camera, depth)
+        return rgb_of_camera(bytes(message.data), f"{where} ({in_line(message.format)})", camera, depth)
     words = WORDS.fullmatch(message.encoding)
     encoding = f"{words[1]}8" if words else message.encoding
     if encoding != "rgb8" and encoding not in TO_RGB:
         known = f"rgb8, {', '.join(TO_RGB)}, and those of 10 to 16 bits in words"
-        raise DataError(f"{where}: the encoding {shown(encoding)} cannot be read; known are {known}")
+        raise DataError(f"{where}: the encoding {in_line(encoding)} cannot be read; known are {known}")
     channels = 2 if encoding.startswith("yuv") else CHANNELS.get(encoding, 1)
     if words is None:
         pixels = _pixels(message, channels, np.dtype(np.uint8), where)
@@ -102,7 +102,9 @@ def camera_of(message: Any, where: str) -> Camera:
             return Pinhole(*size, focal_px, center_px)
         if model in ("plumb_bob", "radtan") and not any(coefficients[4:]) and len(coefficients) >= 4:
             return MEI(*size, focal_px, center_px, 0.0, tuple(coefficients[:4]), 180.0)
-        raise ValueError(f"the distortion {shown(f'{model} {coefficients}')} is not supported; give rig=<file> instead")
+        raise ValueError(
+            f"the distortion {in_line(f'{model} {coefficients}')} is not supported; give rig=<file> instead"
+        )
     except ValueError as error:
         raise DataError(f"{where}: {error}") from error
 
@@ -119,7 +121,7 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
     wanted = ("x", "y", "z", *labels)
     if missing := [name for name in wanted if name not in fields]:
-        raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {shown(', '.join(fields))}")
+        raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {in_line(', '.join(fields))}")
     sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
     if beyond := [name for name, end in sizes.items() if end > message.point_step]:
         raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from omniocc.data.formats.poses import inverse
-from omniocc.errors import UserError, shown
+from omniocc.errors import UserError, in_line
 from omniocc.record.poses import TimedPoses
 from omniocc.record.streams import interpolate
 
@@ -77,7 +77,7 @@ class FrameTree:
                     before[other] = here, step
                     queue.append(other)
         if source not in before:
-            known = shown(", ".join(sorted(steps))) or "none"
+            known = in_line(", ".join(sorted(steps))) or "none"
             raise UserError(
                 f"tf: there is no chain of poses from '{target}' to '{source}'; frames: {known}. A rig file "
                 "(recorder.rig) and recorder.lidar.ego_from_lidar can state what the bag does not"

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
@@ -24,8 +25,10 @@ from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, read_weights
 
 STAGE, CONFIG = "stage", "config"
-STAGES = ("depth", "sketch", "occupancy")
 """Keys of a checkpoint beside Lightning's own."""
+STAGES = ("depth", "sketch", "occupancy")
+FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+"""Types of weights with fractions; torch does not compute in the others, of 8 bits or fewer."""
 Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
 WORKERS = ("data.num_workers", "data.source.workers")
@@ -88,11 +91,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     stage, config, weights = content[STAGE], content[CONFIG], content["state_dict"]
     if stage not in STAGES:
         raise UserError(f"{path} names a stage that does not exist; there are {', '.join(STAGES)}")
-    named = isinstance(weights, dict) and all(isinstance(name, str) for name in weights)
-    if not named or not all(isinstance(value, Tensor) for value in weights.values()):
-        raise UserError(f"{path} is damaged: its weights are no tensors by name")
-    if any(value.is_complex() for value in weights.values()):
-        raise UserError(f"{path} is damaged: it has complex weights")
+    if not isinstance(weights, dict) or not all(_is_weight(*item) for item in weights.items()):
+        raise UserError(f"{path} is damaged: its weights are no tensors of real numbers by name")
     step = content.get("global_step")
     if not isinstance(step, int | None):
         raise UserError(f"{path} is damaged: its number of steps is no whole number")
@@ -103,6 +103,14 @@ def load_checkpoint(path: Path) -> Checkpoint:
         if isinstance(count := OmegaConf.select(tree, key, throw_on_missing=False), int):
             OmegaConf.update(tree, key, min(count, usable_cores()))
     return Checkpoint(path, stage, tree, weights, step)
+
+
+def _is_weight(name: object, value: object) -> bool:
+    """Return whether an entry of a file is a name and a tensor of numbers in memory that a network can have."""
+    if not isinstance(name, str) or not isinstance(value, Tensor):
+        return False
+    whole = not (value.is_floating_point() or value.is_complex() or value.is_quantized)
+    return value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
 
 
 def load_weights(
@@ -138,8 +146,6 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
     trusted = allowed(OWN_PACKAGE, packages)
     chosen = OmegaConf.create({part: config[part] for part in parts})
     tree = plain(chosen)
-    if (fault := fault_of(tree)) is not None:
-        raise UserError(f"{path} cannot be trusted: {fault}")
     if foreign := foreign_packages(tree, trusted):
         names = ",".join(foreign)
         raise UserError(

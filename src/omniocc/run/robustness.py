@@ -142,7 +142,7 @@ def load_part(path: Path, key: str) -> PartScores | None:
     try:
         content = parse_json(read_short_text(path))
         return _part(content) if content.pop("key") == key else None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise UserError(f"{path} is damaged ({first_line(error)}); remove it, and it is computed again") from error
 
 
@@ -164,7 +164,7 @@ def load_robustness(path: Path) -> Robustness:
         content = parse_json(read_short_text(path))
         system = checked_name("system", content["system"])
         return Robustness(system, content["facts"], [_part(part) for part in content["parts"]])
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise UserError(
             f"{path} is damaged ({first_line(error)}); the command that made it writes it again from its parts"
         ) from error

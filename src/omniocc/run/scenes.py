@@ -86,7 +86,7 @@ def _naming(folder: Path) -> Iterator[None]:
     """Raise UserError naming the file of a folder if what is done with its content fails."""
     try:
         yield
-    except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError, OverflowError) as error:
         reason = first_line(error)
         path = folder / SCENES
         raise UserError(f"{path} is damaged ({reason}); without it the run has no scores by scene") from error

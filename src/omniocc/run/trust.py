@@ -11,14 +11,13 @@ from re import fullmatch
 from typing import Any, NamedTuple
 from unicodedata import category
 
-import yaml
 from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 import omniocc
 from omniocc.config import ConfigError
 from omniocc.errors import UserError, first_line
-from omniocc.io import YAML
+from omniocc.io import read_yaml
 
 CONF = Path(omniocc.__file__).parents[2] / "conf"
 """Folder of the options, beside `src`."""
@@ -76,9 +75,9 @@ def offered(conf: Path = CONF) -> Offered:
         for path in sorted(set((conf / folder).rglob("*.yaml")) - read):
             read.add(path)
             slot = path.parent.relative_to(conf / folder).parts
-            _collect(yaml.load(path.read_text(), YAML), ".".join((root, *slot)), found)
+            _collect(read_yaml(path), ".".join((root, *slot)), found)
     for path in sorted((conf / ROWS).rglob("*.yaml")):
-        for root, node in (yaml.load(path.read_text(), YAML) or {}).items():
+        for root, node in (read_yaml(path) or {}).items():
             _collect(node, root, found)
     return found
 
@@ -179,7 +178,8 @@ def building(path: Path, weights: Mapping[str, Tensor]) -> Iterator[None]:
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    most = used + SPARE_BYTES + 16 * sum(value.nbytes for value in weights.values())
+    stored = {data.data_ptr(): data.nbytes() for data in (value.untyped_storage() for value in weights.values())}
+    most = used + SPARE_BYTES + 16 * sum(stored.values())
     resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
     registered = itertools.count(1)
 

@@ -88,7 +88,7 @@ def _about(path: Path, text: str) -> dict[str, Any]:
         about = parse_json(text)
         if not isinstance(about, dict) or not about.keys() >= {"stage", "config", "facts", "sha256"}:
             raise ValueError("stage, config, facts or sha256 is missing")
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UserError(f"{path} is damaged: its header cannot be read ({first_line(error)})") from error
     return about
 

@@ -19,8 +19,6 @@ from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
 """Root keys from which a task is built."""
-
-
 PLACES = ("root", "cache")
 """Arguments of a data source that name folders or URLs."""
 MACHINE = ("accelerator", "devices", "strategy")

@@ -2,6 +2,7 @@
 
 import io
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -153,7 +154,7 @@ def test_what_is_no_file_is_not_opened(tmp_path):
         read_voxels(tmp_path / "a")
     with (tmp_path / "hole").open("wb") as file:
         file.truncate(2**42)
-    with pytest.raises(DataError, match=rf"^{tmp_path}/hole: the file has {2**42:,} bytes, more than the memory holds"):
+    with pytest.raises(DataError, match=rf"^{tmp_path}/hole: the file has {2**42:,} bytes, more than can be read"):
         read_bytes(tmp_path / "hole")
 
 
@@ -175,3 +176,12 @@ def test_weights_and_checkpoints_that_claim_more_than_they_hold(tmp_path):
     assert (tmp_path / "a.ckpt").stat().st_size < 2**16
     with pytest.raises(UserError, match=r"a\.ckpt is not a checkpoint .*it has [\d,]+ bytes, but its parts state 16,"):
         read_checkpoint(tmp_path / "a.ckpt")
+
+
+def test_many_properties_take_no_time(tmp_path):
+    names = "".join(f"property float p{number}\n" for number in [*range(40_000), 39_999])
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 0\n{names}end_header\n")
+    begun = time.monotonic()
+    with pytest.raises(DataError, match="the property 'p39999' stands twice"):
+        clouds.read_ply(tmp_path / "a.ply")
+    assert time.monotonic() - begun < 5

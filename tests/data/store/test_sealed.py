@@ -95,7 +95,7 @@ def test_a_lidar_has_as_many_hits_as_rays(tmp_path):
         ({"center_m": [NAN, 0, 0]}, "the center_m of a box is nan; it must be a finite number"),
         ({"velocity_mps": [0, 0, 0]}, r"the velocity_mps of a box is \[0, 0, 0\]; it must be 2 numbers"),
         ({"size_m": "abc"}, "the size_m of a box is 'abc'; it must be 3 numbers"),
-        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{99}[.]{3}; it must be a finite number"),
+        ({"yaw_rad": 10**400}, "the yaw_rad of a box is 10{39} ... 0{40}; it must be a finite number"),
         ({"label": "Road"}, "the label of a box is 'Road'; it must be a whole number"),
         ({"id": True}, "the id of a box is True; it must be a whole number"),
     ],
@@ -149,7 +149,7 @@ def _classes(key: str, **row: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("virtual", "'spec' holds no table of classes: virtual"),
+        ("virtual", "'spec' holds no table of classes: 'virtual'"),
         ({"classes": [1, 2]}, "'spec' holds no table of classes: "),
         ({"classes": {"0": 1}}, "a class table must map ids to name and rgb, got {'0': 1}"),
         (_classes("1", name=7), "class 1 has the name 7; names must be printable text"),

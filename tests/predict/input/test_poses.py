@@ -44,7 +44,7 @@ def test_matrices_are_read_back_exactly(tmp_path):
         ("a,0,0,nan,1,0,0,0", ["line 2", "frame 'a'", "'nan' is no finite number"]),
         ("a,0,0,1e300,1,0,0,0", ["line 2", "its position is 1e+300 m away", "at most 1e+08"]),
         ("a,1,0,0,-1e9,0,1,0,0,0,0,1,0,0,0,0,1", ["line 2", "frame 'a'", "its position is 1e+09 m away"]),
-        ("a,0,0,0,2,0,0,0", ["length 2", "must be 1"]),
+        ("a,0,0,0,2,0,0,0", ["length is 2", "must be 1"]),
         ("a,0,0,0,1,0,0", ["6 numbers", "x_m,y_m,z_m,qw,qx,qy,qz"]),
         ("a,1,0,0,0,0,2,0,0,0,0,1,0,0,0,0,1", ["not a rigid pose"]),
         ("a,1,0,0,0,0,1,0,0,0,0,-1,0,0,0,0,1", ["not a rigid pose"]),

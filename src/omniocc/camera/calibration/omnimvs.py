@@ -22,7 +22,6 @@ from omniocc.camera.calibration.fields import (
 from omniocc.camera.calibration.ocamcalib import counted
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.pose import LEVEL_FORWARD, rigid_pose
-from omniocc.io import twice
 
 
 def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
@@ -42,8 +41,6 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
             poses.append(_pose(row(entry, 6, "pose")))
             masks.append(_mask(folder / str(entry.get("invalid_mask", "")), cameras[-1]))
         names.append(name)
-    if name := twice(names):
-        raise ValueError(f"{name} stands twice in cameras; keep one cam_id each")
     if not cameras:
         raise ValueError("cameras is an empty list; is the file whole?")
     kept = None if all(mask is None for mask in masks) else tuple(masks)

@@ -1,6 +1,5 @@
 """Files of LiDAR points: `.bin` (KITTI), `.pcd`, `.ply` and `.npz`."""
 
-import io
 import os
 import re
 from collections.abc import Callable
@@ -11,9 +10,9 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-from omniocc.data.formats.arrays import npz_arrays
-from omniocc.data.formats.files import named_once, read_array, read_bytes, whole_numbers
-from omniocc.errors import DataError
+from omniocc.data.formats.files import load_npz, named_once, read_array, whole_numbers
+from omniocc.errors import DataError, shown
+from omniocc.io import read_bytes
 
 LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
 """Names of the field of the class id in a file, in the order in which they are looked for."""
@@ -197,12 +196,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     Raises:
         DataError: naming the file and what is wrong with it.
     """
-    try:
-        arrays = npz_arrays(io.BytesIO(read_bytes(path)))
-    except DataError:
-        raise
-    except Exception as error:  # zipfile, zlib and numpy have errors of their own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+    arrays = load_npz(path)
     points = arrays.pop("points", None)
     if points is None or points.ndim != 2 or not 3 <= points.shape[1] <= MOST_COLUMNS:
         shape = "is missing" if points is None else f"has the shape {points.shape}"
@@ -398,7 +392,7 @@ def _lzf(packed: np.ndarray, result: np.ndarray) -> int:
 
 def _whole(path: Path, name: str, text: str) -> int:
     if not re.fullmatch("[0-9]{1,15}", text):
-        raise DataError(f"{path}: {name} is '{text[:80]}'; it must be a whole number")
+        raise DataError(f"{path}: {name} is {shown(text)}; it must be a whole number")
     return int(text)
 
 

@@ -1,44 +1,28 @@
 """Read files of public datasets; every error names the file and what is wrong with it."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from omniocc.camera import Camera
+from omniocc.classes import MOST_SHOWN
 from omniocc.data.formats.arrays import npy_array, npz_arrays
-from omniocc.errors import DataError, shown
+from omniocc.errors import DataError, first_line, in_line
 from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
-from omniocc.io import check_regular, text_of, twice
+from omniocc.io import read_bytes, text_of, twice
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
 """Largest relative difference between the aspect ratio of an image and that of its calibration: sizes are rounded."""
 HEIGHT_STEP = 8
 """Heights of scaled images are multiples of it, px."""
-SHOWN = 8
-"""Wrong values that a message names."""
 LARGEST_WHOLE = 2.0**53
 """From here on float64 holds no fractions, and does not tell neighbouring whole numbers apart."""
 
 # Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
-
-
-def read_bytes(path: Path, remedy: str = "") -> bytes:
-    """Return the content of a file; raise DataError with the remedy if it is missing or cannot be read."""
-    try:
-        check_regular(path)
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}") from error
-    except DataError:
-        raise
-    except MemoryError as error:
-        raise DataError(f"{path}: the file has {path.stat().st_size:,} bytes, more than the memory holds") from error
-    except OSError as error:
-        raise DataError(f"{path}: the file cannot be read ({error.strerror or error})") from error
 
 
 def read_text(path: Path, remedy: str = "") -> str:
@@ -71,11 +55,7 @@ def read_array(path: Path, dtype: str, shape: Sequence[int], remedy: str = "") -
 
 def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -> dict[str, np.ndarray]:
     """Return arrays of an npz file by name; raise DataError if one is missing, damaged or of another shape."""
-    content = io.BytesIO(read_bytes(path, remedy))
-    try:
-        found = npz_arrays(content, shapes)
-    except Exception as error:  # zipfile, zlib and numpy have errors of their own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+    found = load_npz(path, shapes, remedy)
     for name, shape in shapes.items():
         if name not in found:
             raise DataError(f"{path}: the file has no array '{name}'")
@@ -84,10 +64,19 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
     return found
 
 
+def load_npz(path: Path, names: Iterable[str] | None = None, remedy: str = "") -> dict[str, np.ndarray]:
+    """Return arrays of an npz file as `npz_arrays`; raise DataError if it is missing or damaged."""
+    content = io.BytesIO(read_bytes(path, remedy))
+    try:
+        return npz_arrays(content, names)
+    except Exception as error:  # zipfile, zlib and numpy have errors of their own
+        raise DataError(f"{path}: the file is damaged ({first_line(error)})") from error
+
+
 def named_once(names: Sequence[str], where: str) -> None:
     """Raise DataError beginning with `where` if a name of fields, properties or arrays stands twice."""
     if (name := twice(names)) is not None:
-        raise DataError(f"{where} '{shown(name)}' stands twice, and it is not clear which of them is meant; rename one")
+        raise DataError(f"{where} '{in_line(name)}' stands twice, so which of them is meant is unclear; rename one")
 
 
 def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
@@ -123,7 +112,7 @@ def whole_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
     else:
         wrong = numbers[:0] if kind in "biu" else numbers
     if wrong.size:
-        found = ", ".join(map(str, dict.fromkeys(wrong.reshape(-1)[:SHOWN].tolist())))
+        found = ", ".join(map(str, dict.fromkeys(wrong.reshape(-1)[:MOST_SHOWN].tolist())))
         raise DataError(f"{where}: the array of {numbers.dtype} holds values that are no whole numbers: {found}")
     return numbers.astype(np.int64)
 
@@ -134,7 +123,7 @@ def load_npy(path: Path, remedy: str = "") -> np.ndarray:
     try:
         return npy_array(io.BytesIO(content), len(content))
     except Exception as error:  # numpy has errors of its own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+        raise DataError(f"{path}: the file is damaged ({first_line(error)})") from error
 
 
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
@@ -213,7 +202,7 @@ def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
     classes = table[np.clip(ids, 0, len(table) - 1)]
     unknown = (classes < 0) | (ids < 0) | (ids >= len(table))
     if unknown.any():
-        found, known = np.unique(ids[unknown])[:SHOWN].tolist(), np.flatnonzero(table >= 0).tolist()
+        found, known = np.unique(ids[unknown])[:MOST_SHOWN].tolist(), np.flatnonzero(table >= 0).tolist()
         gaps = known[-1] - known[0] >= len(known)
         has = ", ".join(map(str, known)) if gaps else f"{known[0]} to {known[-1]}"
         raise DataError(f"{path}: the class ids {found} are not in the dataset's table, which has {has}")

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8, UInt32
 
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
-from omniocc.data.formats.files import class_table, map_classes, read_array, read_bytes, read_text
+from omniocc.data.formats.files import class_table, map_classes, read_array, read_text
 from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
-from omniocc.io import atomic_write, number_of
+from omniocc.io import atomic_write, number_of, read_bytes
 
 SHAPE = (256, 256, 32)
 CELLS = 256 * 256 * 32

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError, first_line, shortened
+from omniocc.errors import DataError, first_line, shown
 from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
@@ -24,8 +24,6 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 CHUNK_BYTES = 1 << 22
 MIB = 1 << 20
-SHOWN = 200
-"""Characters of a wrong record that a message shows."""
 
 VALIDATION = (
     (3, 3), (12, 18), (35, 36), (38, 39), (92, 110), (221, 221), (268, 278), (329, 332), (344, 346), (519, 524),
@@ -104,7 +102,7 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
                         place = begin  # the record goes on in the next chunk
                         break
                     if not isinstance(record, dict) or None in record.values():
-                        raise ValueError(f"a record holds no value, or null: {shortened(str(record), SHOWN)}")
+                        raise ValueError(f"a record holds no value, or null: {shown(record)}")
                     yield record
                 text = text[place:]
     except FileNotFoundError as error:
@@ -172,13 +170,8 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
             raise DataError(f"{path}: there are two records of scene '{name}'; keep one")
         path = tables / "sample.json"
         rows = (r for r in records(path, progress) if r["scene_token"] in scenes)
-        samples = once(
-            path,
-            (
-                (checked_name(f"{path}: token", r["token"]), (scenes[r["scene_token"]], int(r["timestamp"])))
-                for r in rows
-            ),
-        )
+        named = ((checked_name(f"{path}: token", r["token"]), r) for r in rows)
+        samples = once(path, ((token, (scenes[r["scene_token"]], int(r["timestamp"]))) for token, r in named))
         path = tables / "sensor.json"
         channels = once(path, ((r["token"], r["channel"]) for r in records(path)))
         path = tables / "calibrated_sensor.json"

@@ -24,7 +24,7 @@ def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], n
     length = float(np.linalg.norm(q))
     if q.shape != (4,) or t.shape != (3,) or not np.isfinite(t).all() or not abs(length - 1) < TOLERANCE:
         finite = np.isfinite(q).all() and np.isfinite(t).all()
-        reason = f"the quaternion's length is {length:.4g}" if finite else "a number is not finite"
+        reason = f"the quaternion's length is {length:.4g}, it must be 1" if finite else "a number is not finite"
         raise ValueError(f"{name}: rotation {list(rotation)}, translation {list(translation_m)} are no pose ({reason})")
     check_position(t, name)
     w, x, y, z = q / length

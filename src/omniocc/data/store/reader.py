@@ -26,7 +26,7 @@ from omniocc.data.store.codec import (
     decode_points,
     decode_range,
 )
-from omniocc.data.store.files import LIMIT_BYTES
+from omniocc.data.store.files import LIMIT_BYTES, named
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
 from omniocc.data.store.shard import shard_name
@@ -222,4 +222,4 @@ class SceneReader(SceneFolder):
         try:
             yield
         except Exception as error:  # decoders raise errors of many kinds
-            raise self._wrong(frame, f"it cannot be decoded ({type(error).__name__}: {error})", name) from error
+            raise self._wrong(frame, f"it cannot be decoded ({named(error)})", name) from error

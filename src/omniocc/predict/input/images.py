@@ -49,10 +49,7 @@ def find_frames(
         UserError: naming the file or camera that is missing, superfluous or misspelt, or the impossible number of bits.
     """
     check_excluded(excluded, rig)
-    try:
-        depth = Depth(image_bits, "image_bits")
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    depth = Depth(image_bits, "image_bits")
     return [frame._replace(depth=depth) for frame in _found(images, rig, excluded)]
 
 

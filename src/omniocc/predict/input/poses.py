@@ -11,7 +11,6 @@ and a unit quaternion or as the rows of a 4x4 matrix. A header may name these co
 Ego: x forward, y left, z up, origin as in the rig file. World: any fixed coordinate frame in metres.
 """
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -68,20 +67,13 @@ def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tenso
 def _pose(words: Sequence[str]) -> Float64[Tensor, "4 4"]:
     values = [number_of(word) for word in words]
     if len(values) == len(QUATERNION):
-        return _from_quaternion(values)
+        return torch.from_numpy(quaternion_pose(values[3:], values[:3], "the pose"))
     if len(values) == len(MATRIX):
         return _from_rows(values)
     raise ValueError(
         f"{len(values)} numbers; give {len(QUATERNION)} ({','.join(QUATERNION)}) or the {len(MATRIX)} of a 4x4 matrix, "
         "row by row, separated by commas"
     )
-
-
-def _from_quaternion(values: Sequence[float]) -> Float64[Tensor, "4 4"]:
-    length = math.hypot(*values[3:])
-    if abs(length - 1) > TOLERANCE:
-        raise ValueError(f"the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
-    return torch.from_numpy(quaternion_pose(values[3:], values[:3], "the pose"))
 
 
 def _from_rows(values: Sequence[float]) -> Float64[Tensor, "4 4"]:

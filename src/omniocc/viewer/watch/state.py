@@ -158,9 +158,8 @@ def thinned(curve: Curve) -> list[tuple[int, float]]:
 def last_images(folder: Path) -> list[str]:
     """Return the names of the images that a run has drawn last, the newest first."""
     own = folder.resolve() / IMAGES
-    paths = [
-        path for path in own.glob("*.png") if path.is_file() and path.resolve().parent == own
-    ]  # no links elsewhere
+    # a link could show any image of this machine
+    paths = [path for path in own.glob("*.png") if path.is_file() and path.resolve().parent == own]
     return [path.name for path in sorted(paths, key=modified_s, reverse=True)[:LAST_IMAGES]]
 
 
