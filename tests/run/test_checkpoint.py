@@ -48,9 +48,6 @@ def test_a_checkpoint_tells_its_stage_and_the_weights_of_its_model(tmp_path):
     trained = load_checkpoint(path)
     assert trained.stage == "depth"
     assert list(trained.model_weights) == ["a"]
-    write(path, {"model": {}}, "depth", {7: torch.ones(1)})
-    with pytest.raises(UserError, match=r"last\.ckpt is damaged: its weights are no tensors by name"):
-        load_checkpoint(path)
     torch.save({"config": {}, "state_dict": {}}, path)
     with pytest.raises(UserError, match=r"last\.ckpt.*older version"):
         load_checkpoint(path)
