@@ -14,7 +14,7 @@ from pathlib import Path
 
 from omniocc.errors import installing
 from omniocc.io import atomic_write
-from omniocc.report.chapters import CURVES_IMAGE, report_markdown, write_docs, write_tables
+from omniocc.report.chapters import CURVES_IMAGE, report_markdown, write_docs, write_results_into, write_tables
 from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
 from omniocc.report.keep import keep_records
@@ -44,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     where = "folder of the report (default: report in the folder of runs)"
     found.add_argument("--output", type=Path, metavar="FOLDER", help=where)
-    docs = "write the tables as Markdown pages too, into this folder"
+    docs = "write the tables as Markdown pages too, into this folder; with docs/results also the results in README.md"
     found.add_argument("--docs", type=Path, metavar="FOLDER", help=docs)
     tried = "only write one table of all runs, of any setting, on validation scenes"
     found.add_argument("--tried", type=Path, metavar="FILE", help=tried)
@@ -81,6 +81,8 @@ def main(arguments: list[str] | None = None) -> None:
         return
     if options.docs is not None:
         write_docs(sweeps, options.docs)
+        if options.docs.resolve() == ROOT / "docs" / "results":
+            write_results_into(ROOT / "README.md", sweeps[0])
         draw_curves(sweeps[0], options.docs)
     write_report(sweeps, options.output or options.runs / "report")
 

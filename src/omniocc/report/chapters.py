@@ -4,7 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from omniocc.io import atomic_write
+from omniocc.errors import UserError
+from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.report.dataset.table import dataset_csv, dataset_latex, dataset_markdown
 from omniocc.report.runs import FinishedRun, path_between
 from omniocc.report.sweep import Sweep
@@ -17,12 +18,15 @@ from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdow
 from omniocc.report.tables.power import power_chapter
 from omniocc.report.tables.presets import presets_chapter
 from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.results import COMMAND, NUMERALS, of_paper, results_lines
 from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.report.tables.verdicts import verdicts_parts
 from omniocc.run.table import markdown
 
-GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
+GENERATED = f"<!-- Written by `{COMMAND}`; do not edit. -->"
+BEGIN, END = f"<!-- Results, written by `{COMMAND}`; do not edit. -->", "<!-- End of the results. -->"
+"""Lines around the results on their page and in the README."""
 TRIED_AGAINST = "extended"
 """Row to which the page `accuracy` compares all others."""
 CURVES_IMAGE = "learning_curves.svg"
@@ -49,6 +53,12 @@ TRAINED = (
 )
 BESIDE = "Other programs ran on the same machines."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
+MORE = (
+    "Errors, p-values and the same by surface RayIoU: [all claims](claims.md). Tables of the paper: {tables}. Behind the "
+    "other columns: [equal budget](equal_budget.md), [more steps](training.md). Behind the reasons: [why a claim does not "
+    "hold](reasons.md), [frames 0.1 s apart](interval.md), [seeds that a gap needs](power.md). What it means: [the tables "
+    "in words](ablations.md). How it was made: [protocol](protocol.md), [the runs](runs.md)."
+)
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
     "machines: [the runs](runs.md)."
@@ -117,7 +127,7 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     """
     sweep, every = documented(sweeps[0]), [run for sweep in sweeps for run in sweep.runs]
     listed = rows_in(sweep.tables, sweep.table_rows)
-    pages = {}
+    pages = {"index": results_page(sweep)}
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
         pages[name] = f"{text}\n{DISTURBANCES if name == ROBUSTNESS else foot(runs_on(name, sweep))}"
     if "training" in pages:
@@ -139,6 +149,33 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
             written.append(folder / f"{name}.md")
             atomic_write(written[-1], f"{GENERATED}\n\n{HEADING.sub('', text).rstrip()}\n")
     return written
+
+
+def results_page(sweep: Sweep) -> str:
+    """Return the page of all results as Markdown; empty without a table of the paper."""
+    named = [f"[{NUMERALS[table.number]} {table.title}]({table.name}.md)" for table in of_paper(sweep)]
+    lines = ["## The paper's claims, tested here", "", *results_block(sweep), "", MORE.format(tables=", ".join(named))]
+    return "\n".join(lines) if named else ""
+
+
+def results_block(sweep: Sweep) -> list[str]:
+    """Return the lines that the page of all results and the README share, with the marks around them."""
+    return [BEGIN, *results_lines(sweep), END]
+
+
+def write_results_into(path: Path, sweep: Sweep) -> None:
+    """Write the results into a Markdown file in place of those that it has.
+
+    Raises:
+        DataError: naming the file that cannot be read or written.
+        UserError: if the file has no place for them.
+    """
+    lines = text_of(read_bytes(path)).splitlines()
+    first = lines.index(BEGIN) if BEGIN in lines else len(lines)
+    if END not in lines[first:]:
+        raise UserError(f"{path} has no place for the results; add two lines, {BEGIN} and below it {END}")
+    lines[first : lines.index(END, first) + 1] = results_block(sweep)
+    atomic_write(path, "\n".join([*lines, ""]))
 
 
 def documented(sweep: Sweep) -> Sweep:

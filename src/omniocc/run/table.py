@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 Cells = tuple[list[str], list[list[str]]]
@@ -77,10 +77,14 @@ def number(value: float | None) -> str:
     return "–" if value is None or math.isnan(value) else f"{value:.3f}"
 
 
-def markdown(head: list[str], rows: list[list[str]]) -> str:
-    """Return a Markdown table; the first column is text, the others are figures. A cell stays one cell and one line."""
+def markdown(head: list[str], rows: list[list[str]], text: Collection[str] = ()) -> str:
+    """Return a Markdown table. A cell stays one cell and one line.
+
+    The first column and those whose title is in `text` are text, to the left; the others are figures.
+    """
+    left = [place == 0 or title in text for place, title in enumerate(head)]
     head, *rows = [[" ".join(cell.replace("|", r"\|").splitlines()) for cell in line] for line in (head, *rows)]
-    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    lines = [head, ["---" if is_text else "---:" for is_text in left], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 

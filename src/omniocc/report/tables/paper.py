@@ -4,6 +4,7 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from scipy import stats
@@ -26,12 +27,14 @@ class PaperRow(NamedTuple):
         title: as the table has it.
         paper: the paper's figures by column.
         alone: whether it shares neither depth nor sketch with the other rows of a table of parts.
+        claim: in a few words, that the paper's best row of the table is ahead of this one.
     """
 
     run: str
     title: str
     paper: Mapping[str, float | None]
     alone: bool = False
+    claim: str = ""
 
     def ahead_of(self, other: "PaperRow") -> str:
         """Return the claim that this method is better than another one, in words."""
@@ -56,6 +59,7 @@ class PaperTable(NamedTuple):
             claimed.
         of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
         steps: number of steps of the runs in the table; empty before `of_steps`.
+        reasons: why a claim does not hold or is undecided in the runs of the documentation, by its words there.
     """
 
     name: str
@@ -70,6 +74,7 @@ class PaperTable(NamedTuple):
     claims: Sequence[tuple[str, str]] = ()
     of_lengths: bool = False
     steps: str = ""
+    reasons: Mapping[str, str] = MappingProxyType({})
 
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
         """Return whether two rows can use the same depth and sketch networks in a seed."""
@@ -128,7 +133,7 @@ def load_table(path: Path) -> PaperTable:
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [
-            PaperRow(run, row["title"], _by_column(columns, row, run), row.get("alone", False))
+            PaperRow(run, row["title"], _by_column(columns, row, run), row.get("alone", False), row.get("claim", ""))
             for run, row in content["rows"].items()
         ]
         note, here, number_in_paper = content.get("note", ""), content.get("here", ""), content.get("number", 0)
@@ -136,7 +141,7 @@ def load_table(path: Path) -> PaperTable:
         of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
         table = PaperTable(
             path.stem, content["title"], columns, order_by, rows, note, here, number_in_paper, compares, claims,
-            of_lengths,
+            of_lengths, reasons=dict(content.get("reasons", {})),
         )  # fmt: skip
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
