@@ -143,3 +143,13 @@ def test_the_sizes_and_classes_of_the_data_page_are_those_of_the_code():
     text = (ROOT / "docs" / "dataset.md").read_text()
     assert [row for row in map(size_row, ("smoke", "tiny", "small", "paper")) if row not in text] == []
     assert [row for row in CLASSES if f"| {row.id} | {row.name} |" not in text] == []
+
+
+def test_the_results_in_the_readme_are_those_of_their_page():
+    """`python src/report.py --runs docs/results/runs --docs docs/results` writes both; see `test_results.py`."""
+    marks = re.compile(
+        r"^<!-- Results, written by .*? -->$.*?^<!-- End of the results\. -->$", re.MULTILINE | re.DOTALL
+    )
+    (readme,), (page,) = (marks.findall((ROOT / path).read_text()) for path in ("README.md", "docs/results/index.md"))
+    assert readme == page
+    assert readme.count("\n| I") + readme.count("\n| V") >= 17

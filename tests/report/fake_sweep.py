@@ -42,13 +42,17 @@ def labels(geometry: Grid, seed: int) -> torch.Tensor:
     return torch.randint(0, 12, geometry.shape, generator=generator, dtype=torch.uint8)
 
 
-def figures(rayiou: float) -> dict[str, float]:
+def figures(rayiou: float, surface_rayiou: float | None = None) -> dict[str, float]:
+    surface = rayiou / 2 if surface_rayiou is None else surface_rayiou
     classes = {f"test/rayiou/{entry.name}": rayiou / entry.id for entry in WORLD_CLASSES.rows if entry.id != FREE}
     bands = {"test/rayiou_0-8.5m": rayiou, "test/rayiou_8.5-17m": rayiou / 2, "test/rayiou_17-25.6m": rayiou / 4}
-    return {"test/rayiou": rayiou, "test/lidar/rayiou": rayiou / 2, "test/voxel/miou": 0.1} | classes | bands
+    return {"test/rayiou": rayiou, "test/lidar/rayiou": surface, "test/voxel/miou": 0.1} | classes | bands
 
 
-def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: dict, geometry: dict) -> None:
+def write_run(
+    folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: dict, geometry: dict, steps: int = 40,
+    surface_rayiou: float | None = None,
+) -> None:  # fmt: skip
     (folder / "csv" / "version_0").mkdir(parents=True)
     described = {
         "_target_": "omniocc.data.VirtualWorld", "root": world.root, "rig": "fisheye6", "image_size": [WIDTH, HEIGHT],
@@ -59,10 +63,12 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
-    metrics = figures(rayiou) | ({"test/sketch/fraction": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
-    facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
+    metrics = figures(rayiou, surface_rayiou) | (
+        {"test/sketch/fraction": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {}
+    )
+    facts = {"run": folder.name, "seed": seed, "steps": steps, "preset": "tiny", "minutes of training": 1.5}
     facts |= {"classes": [{"name": entry.name, "rgb": entry.rgb} for entry in WORLD_CLASSES.rows if entry.id != FREE]}
-    facts |= {"stages": {"depth": 8, "sketch": 5, "occupancy": 40}} if sketch == OMNI else {"stages": {"occupancy": 40}}
+    facts |= {"stages": {"depth": 8, "sketch": 5, "occupancy": steps} if sketch == OMNI else {"occupancy": steps}}
     facts |= {CANDIDATES: 1.0} if sketch == DENSE else {}
     origins = "the ego origin" if geometry == CYLINDER else "given origins"
     facts |= {"protocol": {"rayiou": f"rays from {origins}", "lidar/rayiou": "rays of a LiDAR", "voxel": "all cells"}}

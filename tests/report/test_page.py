@@ -171,7 +171,7 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
     assert {path.name for path in docs.iterdir()} == {
         "bets.md", "beyond.md", "bounds.md", "budget.md", "claims.md", "classes.md", "comparison.md", "distance.md",
-        "equal_budget.md", "equal_steps.md", "interval.md", "lidar.md", "moving.md", "origins.md",
+        "equal_budget.md", "equal_steps.md", "index.md", "interval.md", "lidar.md", "moving.md", "origins.md",
         "places.md", "power.md", "reasons.md", "refine.md", "representation.md", "rivals.md", "rivals_budget.md",
         "runs.md", "semantic_temporal.md", "sketch.md", "weather.md",
     }  # fmt: skip

@@ -54,10 +54,10 @@ TRAINED = (
 BESIDE = "Other programs ran on the same machines."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 MORE = (
-    "Errors, p-values and the same by surface RayIoU: [all claims](claims.md). Tables of the paper: {tables}. Behind the "
-    "other columns: [equal budget](equal_budget.md), [more steps](training.md). Behind the reasons: [why a claim does not "
-    "hold](reasons.md), [frames 0.1 s apart](interval.md), [seeds that a gap needs](power.md). What it means: [the tables "
-    "in words](ablations.md). How it was made: [protocol](protocol.md), [the runs](runs.md)."
+    "Errors, p-values and the same by surface RayIoU: [all claims](claims.md). Tables of the paper: {tables}. Behind "
+    "the other columns: [equal budget](equal_budget.md), [more steps](training.md). Behind the reasons: [why a claim "
+    "does not hold](reasons.md), [frames 0.1 s apart](interval.md), [seeds that a gap needs](power.md). What it means: "
+    "[the tables in words](ablations.md). How it was made: [protocol](protocol.md), [the runs](runs.md)."
 )
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
@@ -154,7 +154,13 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
 def results_page(sweep: Sweep) -> str:
     """Return the page of all results as Markdown; empty without a table of the paper."""
     named = [f"[{NUMERALS[table.number]} {table.title}]({table.name}.md)" for table in of_paper(sweep)]
-    lines = ["## The paper's claims, tested here", "", *results_block(sweep), "", MORE.format(tables=", ".join(named))]
+    lines = [
+        "## The paper's claims, at small scale",
+        "",
+        *results_block(sweep),
+        "",
+        MORE.format(tables=", ".join(named)),
+    ]
     return "\n".join(lines) if named else ""
 
 

@@ -40,15 +40,15 @@ VERBS = {
 }
 """Words for one claim and for several."""
 DIFFERENCES = (
-    "A re-implementation at small scale, on other data: a virtual world and not CARLA, an eighth of the paper's voxels, "
-    "and 2.8 epochs of the last stage instead of 40."
+    "A re-implementation at small scale, on other data: a virtual world and not CARLA, an eighth of the paper's "
+    "voxels, and 2.8 epochs of the last stage instead of 40."
 )
 REMARKS = (
     "Symbols: ✅ holds on both metrics, voxel RayIoU (`test/rayiou`, the paper's) and surface RayIoU "
     "(`test/lidar/rayiou`, rays to the true surfaces); ☑ on the paper's metric only; ❌ refuted on the paper's metric "
     f"(opposite sign, or a gain of the paper's size excluded); ❓ undecided; {NOT_TESTED} not run or not tested.",
-    "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. A gap is taken "
-    "within the seeds that both methods share, so that it can differ from these scores in the last digit.",
+    "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
+    "share networks of a seed are compared within seeds, so that a gap can differ from these scores in the last digit.",
     "Equal budget: methods without stages of depth and sketch train for as many steps as all stages of OmniDepth-Occ "
     f"together, and BEVDet learns from true ranges too; {SAME} marks two methods that have as many steps anyway.",
 )
@@ -103,7 +103,9 @@ def results_lines(sweep: Sweep) -> list[str]:
         for cells, *rest in zip(_first_cells(sweep, claims, here), *after, strict=True)
     ]
     told = [headline(here), DIFFERENCES, f"`preset={sweep.runs[0].setting[0]}`, {_training(sweep)}."]
-    told += [f"After {_training(more)}: {', '.join(counted(found))}." for more, found in zip(longest, after, strict=True)]
+    told += [
+        f"After {_training(more)}: {', '.join(counted(found))}." for more, found in zip(longest, after, strict=True)
+    ]
     remarks = [*(f"* {line}" for line in REMARKS), *reason_lines(claims, here), f"* {AGAIN}"]
     parts = [" ".join(told), markdown(head, lines, text=("Claim", "Verdict")), distance_text(sweep), "\n".join(remarks)]
     return "\n\n".join(part.strip() for part in parts if part).splitlines()
@@ -138,7 +140,8 @@ def _first_cells(sweep: Sweep, claims: Sequence[Planned], here: Sequence[Verdict
         runs = [sweep.table_rows.get(row.run, ()) for row in pair]
         figures = [figure_of(each, table.order_by) for each in runs]
         printed = _sizes(f"{table.printed_gap(*pair):+.3f}", [row.paper[table.order_by] for row in pair])
-        measured = _sizes(verdict.gap, [figure and figure.mean for figure in figures])
+        scores = [figure and figure.mean for figure in figures]
+        measured = NOT_TESTED if verdict.voxels is None else _sizes(verdict.gap, scores)
         budget = SAME if equal.voxels is None and _as_many_steps(*runs) else equal.cell
         yield [NUMERALS[table.number], short_title(*claim), printed, measured, verdict.symbol, budget]
 
@@ -158,11 +161,17 @@ def _training(sweep: Sweep) -> str:
     rows = rows_in(of_paper(sweep), sweep.table_rows)
     seeds = sorted({len(runs) for runs in rows.values()})
     ends = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))) if seeds else "no"
-    return f"{int(sweep.runs[0].setting[1]):,} steps of the last stage, {ends} seed{'s' * (ends != '1')}"
+    return f"{_in_thousands(sweep.runs[0].setting[1])} of the last stage, {ends} seed{'s' * (ends != '1')}"
+
+
+def _in_thousands(steps: str) -> str:
+    return f"{int(steps):,} steps" if steps.isdigit() else f"{steps} steps"
 
 
 def _times(sweep: Sweep, longer: Sweep) -> str:
-    return f"{int(longer.runs[0].setting[1]) / int(sweep.runs[0].setting[1]):g}x steps"
+    """Return how many times the steps of a sweep a longer one has, or these where the former are not known."""
+    fewest, most = sweep.runs[0].setting[1], longer.runs[0].setting[1]
+    return f"{int(most) / int(fewest):.3g}x steps" if fewest.isdigit() else _in_thousands(most)
 
 
 def short_title(table: PaperTable, better: PaperRow, other: PaperRow) -> str:
