@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import pytest
-from fake_sweep import CYLINDER, DENSE, OMNI, FakeWorld, write_run
+from fake_scene import FakeWorld
+from fake_sweep import CYLINDER, DENSE, OMNI, write_run
 
 from omniocc.errors import UserError
 from omniocc.report.chapters import BEGIN, END, write_docs, write_results_into
