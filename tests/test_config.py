@@ -36,7 +36,8 @@ def test_every_option_lists_exactly_the_arguments_of_its_class(path):
     node = loaded(path)
     slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
     filled = {key.partition("@")[0] for entry in slots for key in entry if not key.startswith("override ")}
-    listed = {key for key in node if not key.startswith("_")} - {"model", "optimizer"} | filled
+    beside = {"model", "optimizer"} if "model" in node else set()
+    listed = {key for key in node if not key.startswith("_")} - beside | filled
     assert listed == set(parameters_of(get_object(node["_target_"])))
 
 
