@@ -10,11 +10,12 @@ from hydra.utils import get_object
 from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
-from omniocc.config import ConfigError, build, check, check_root, fits, parameters_of
+from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of
 from omniocc.geometry import Cylinder
+from omniocc.run.folder import run_hash
 
 CONF = Path(__file__).parents[1] / "conf"
-OTHERS = ("preset", "ablation", "demo", "trainer", "hydra", "learning_rate")
+OTHERS = ("preset", "ablation", "demo", "trainer", "hydra")
 """Folders whose files are no options of a slot."""
 OPTIONS = sorted(
     path for path in CONF.rglob("*.yaml") if path.parent != CONF and path.parts[len(CONF.parts)] not in OTHERS
@@ -27,15 +28,16 @@ def loaded(path: Path) -> dict:
     for entry in node.get("defaults", []):
         if isinstance(entry, str) and entry != "_self_":
             node = loaded(path.with_name(f"{entry}.yaml")) | node
-    return node
+    return node.get("model", {}) | node if path.parent == CONF / "model" else node  # which begins at the root
 
 
 @pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
 def test_every_option_lists_exactly_the_arguments_of_its_class(path):
     node = loaded(path)
     slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
-    filled = {key for entry in slots for key in entry if not key.startswith("override ")}
-    listed = {key for key in node if not key.startswith("_")} | filled
+    filled = {key.partition("@")[0] for entry in slots for key in entry if not key.startswith("override ")}
+    beside = {"model", "optimizer"} if "model" in node else set()
+    listed = {key for key in node if not key.startswith("_")} - beside | filled
     assert listed == set(parameters_of(get_object(node["_target_"])))
 
 
@@ -191,14 +193,35 @@ def test_all_presets_have_the_same_keys():
                 yield from keys(value, f"{prefix}{key}.")
 
     trees = [OmegaConf.to_container(OmegaConf.load(path)) for path in CONF.glob("preset/*.yaml")]
-    assert len({tuple(keys(tree)) for tree in trees}) == 1
+    own = "stages.occupancy.learning_rate"  # at `tiny` every model has a rate of its own
+    assert len({tuple(key for key in keys(tree) if key != own) for tree in trees}) == 1
+    assert [tree["name"] for tree in trees if own not in keys(tree)] == ["tiny"]
     assert len(trees) == 4
 
 
-def test_a_value_for_one_preset_leaves_the_others_theirs():
-    text = "preset: {{name: {}, rate: 0.5}}\nrate: ${{by_preset:{{tiny:0.01}},${{preset.rate}}}}"
-    assert OmegaConf.create(text.format("tiny")).rate == 0.01
-    assert OmegaConf.create(text.format("paper")).rate == 0.5
+@pytest.mark.parametrize("preset", ["smoke", "tiny", "small", "paper"])
+def test_the_plain_command_is_the_papers_model(preset):
+    plain_command, row = (
+        compose_plain(CONF, "train", [f"preset={preset}", *more]) for more in ((), ("+ablation=ours",))
+    )
+    assert run_hash(plain_command, "data") == run_hash(row, "data")
+    assert (
+        plain_command["optimizer"]["learning_rate"]
+        == {"smoke": 3e-3, "tiny": 0.01, "small": 1e-3, "paper": 2e-4}[preset]
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "rate"),
+    [
+        *((model, 3e-3) for model in ("bevdet", "bevformer", "voxformer", "flashocc", "fosocc", "extended")),
+        *((model, 0.01) for model in ("default", "oneocc", "adaptiveocc")),
+    ],
+)
+def test_every_model_has_the_rate_that_was_chosen_for_it(model, rate):
+    for optimizer in ("muon", "adamw"):
+        config = compose_plain(CONF, "train", ["preset=tiny", f"model={model}", f"optimizer={optimizer}"])
+        assert config["optimizer"]["learning_rate"] == rate
 
 
 class Narrow(Cylinder):

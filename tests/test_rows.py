@@ -54,7 +54,7 @@ def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row
         run_of("deep", "preset.lifter.coloring.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
-        run_of("demo", "+learning_rate=chain"),
+        run_of("demo"),
         FinishedRun("nothing saved-0123abcd", {}, {}),
         run_of("lost", "preset.name=gone"),
     ]

@@ -33,14 +33,6 @@ PACKAGES_VARIABLE = "OMNIOCC_PACKAGES"
 NOT_THERE = "cannot be imported; install it, or add its parent folder to PYTHONPATH"
 
 
-def by_preset(values: Mapping[str, Any], otherwise: Any, *, _root_: DictConfig) -> Any:
-    """Return the value for the preset of a configuration: `${by_preset:{tiny:0.01},0.003}`, a resolver of OmegaConf."""
-    return values.get(_root_.preset.name, otherwise)
-
-
-OmegaConf.register_new_resolver("by_preset", by_preset, replace=True)
-
-
 class ConfigError(UserError):
     """All problems of a configuration, one line each; `path` is the file that it is from, if it is from one."""
 

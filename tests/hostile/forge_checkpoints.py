@@ -181,7 +181,7 @@ INTERPOLATIONS = {
     "create": "${oc.create:{_target_:os.system,_args_:['{shell}']}}",
     "create-escaped": "\\${oc.create:{_target_:os.system,_args_:['{shell}']}}",
     "decode": "${oc.decode:'{_target_: os.system}'}", "hydra": "${hydra:runtime.cwd}",
-    "dict-values": "${oc.dict.values:model}", "by-preset": "${by_preset:{tiny:0.01},0.003}",
+    "dict-values": "${oc.dict.values:model}",
     "to-itself": "${ema_decay}", "to-the-root": "${model}", "to-nothing": "${no.such.key}", "unclosed": "${model",
     "nested": "${${oc.env:HOSTILE_SECRET}}", "select": "${oc.select:oc.env,${oc.env:HOSTILE_SECRET}}",
 }  # fmt: skip

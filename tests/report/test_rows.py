@@ -32,7 +32,7 @@ def train(folder: Path, run: Path, name: str, facts: dict) -> None:
     shutil.copytree(run, folder / name)
     known = json.loads((folder / name / "metrics.json").read_text())
     (folder / name / "metrics.json").write_text(json.dumps(known | {"run": name} | facts))
-    config = compose_plain(CONF, "train", [f"name={name[:-9]}", "preset=tiny", "+learning_rate=chain"])
+    config = compose_plain(CONF, "train", [f"name={name[:-9]}", "preset=tiny"])
     (folder / name / "config.yaml").write_text(yaml.safe_dump(config))
 
 
@@ -85,7 +85,7 @@ def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs
     shutil.copytree(runs / "dense-00000001", tmp_path / "demo-0123abcd")
     facts = json.loads((tmp_path / "demo-0123abcd" / "metrics.json").read_text())
     (tmp_path / "demo-0123abcd" / "metrics.json").write_text(json.dumps(facts | {"run": "demo-0123abcd"}))
-    config = compose_plain(CONF, "train", ["name=demo", "preset=tiny", "+learning_rate=chain"])
+    config = compose_plain(CONF, "train", ["name=demo", "preset=tiny"])
     (tmp_path / "demo-0123abcd" / "config.yaml").write_text(yaml.safe_dump(config))
     sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
     assert list(sweep.rows) == ["ours"]

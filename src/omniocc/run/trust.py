@@ -30,8 +30,8 @@ GROUPS = {
     "data": "data",
 }
 """Root keys of what is built from a file, and their folders in `conf`; of two that hold a file the first counts."""
-ROWS = "ablation"
-"""Folder of the rows of tables, which begin at the root of a configuration."""
+GLOBAL = "# @package _global_"
+"""First line of files that begin at the root of a configuration, such as models and rows."""
 TARGET = "_target_"
 SPARE_PARAMETERS = 1000
 """Parameters that a model may have besides some multiples of its weights, while it is built."""
@@ -74,11 +74,13 @@ def offered(conf: Path = CONF) -> Offered:
     for root, folder in GROUPS.items():
         for path in sorted(set((conf / folder).rglob("*.yaml")) - read):
             read.add(path)
-            slot = path.parent.relative_to(conf / folder).parts
-            _collect(read_yaml(path), ".".join((root, *slot)), found)
-    for path in sorted((conf / ROWS).rglob("*.yaml")):
-        for root, node in (read_yaml(path) or {}).items():
-            _collect(node, root, found)
+            if not path.read_text().startswith(GLOBAL):
+                slot = path.parent.relative_to(conf / folder).parts
+                _collect(read_yaml(path), ".".join((root, *slot)), found)
+    for path in sorted(conf.rglob("*.yaml")):
+        if path.read_text().startswith(GLOBAL):
+            for root, node in (read_yaml(path) or {}).items():
+                _collect(node, root, found)
     return found
 
 
