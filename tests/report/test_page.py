@@ -1,7 +1,6 @@
 """The page on a sweep is complete and needs no other file."""
 
 import base64
-import importlib.util
 import json
 import re
 import shutil
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from fake_sweep import report
 
 from omniocc.report.sweep import read_sweeps
 from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
@@ -45,15 +45,6 @@ class Outline(HTMLParser):
 
     def handle_data(self, data):
         self.text.append(data)
-
-
-def report(*arguments: str) -> None:
-    spec = importlib.util.spec_from_file_location("report_script", ROOT / "src" / "report.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    script.main(list(arguments))
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +144,29 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
 
 
+def test_thirty_lines_are_printed_at_most_and_all_tables_by_a_flag(runs, tmp_path, capsys):
+    """Of 40 rows, 20 warnings and 10 settings."""
+    folder = tmp_path / "runs"
+    for number in range(40):
+        shutil.copytree(runs / "ours-00000001", folder / f"row{number}-00000001", ignore=shutil.ignore_patterns("im*"))
+        facts = json.loads((folder / f"row{number}-00000001" / "metrics.json").read_text())
+        for seed in range(2) if number < 30 else ():
+            other = folder / f"row{number}-1000000{seed}"
+            shutil.copytree(folder / f"row{number}-00000001", other)
+            more = {"seed": seed + 1} if number < 20 else {"steps": 50 + number, "seed": seed}
+            (other / "metrics.json").write_text(json.dumps(facts | more))
+            config = yaml.safe_load((other / "config.yaml").read_text()) | {"lr": 0.1 * seed}
+            (other / "config.yaml").write_text(yaml.safe_dump(config))
+    report("--runs", str(folder))
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) <= 30
+    assert "| row0 | 3 | 0.300 ± 0.000 | 0.150 ± 0.000 |" in printed
+    for left in ("... and 30 more rows", "... and 5 more settings", "... and 18 more remarks"):
+        assert left in printed.splitlines()
+    report("--runs", str(folder), "--all")
+    assert (folder / "report" / "report.md").read_text().split("\n## Runs\n")[0].strip() in capsys.readouterr().out
+
+
 def test_the_path_is_printed_also_for_an_unfinished_sweep(runs, tmp_path, capsys):
     part = tmp_path / "runs"
     (part / "mono-00000001" / "csv" / "version_0").mkdir(parents=True)
@@ -238,7 +252,7 @@ def test_runs_of_other_lengths_have_pages_of_their_own_and_can_be_named_in_table
     assert "-4000-" in other.name
     assert f'href="{other.name}/index.html"' in (folder / "report" / "index.html").read_text()
     assert 'href="../index.html"' in (other / "index.html").read_text()
-    for text in (capsys.readouterr().out, (other / "report.md").read_text()):
+    for text in ((folder / "report" / "report.md").read_text(), (other / "report.md").read_text()):
         (line,) = (line for line in text.splitlines() if line.startswith("| four times the steps"))
         assert "here, 1 seed" in line
 
