@@ -32,7 +32,7 @@ from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
-SETTINGS = 5
+SETTINGS = 4
 """Most settings besides the first whose pages are named without --all."""
 NO_MATPLOTLIB = f"matplotlib is missing: {installing('plot')}"
 ROOT = Path(__file__).parents[1]
@@ -117,6 +117,8 @@ def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
     first, *others = sweeps
     folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
     pages = {setting: folder / "index.html" for setting, folder in folders.items()}
+    if find_spec("matplotlib") is None:
+        print(f"No plots: {NO_MATPLOTLIB}")
     for sweep in sweeps:
         folder = folders[sweep.setting]
         write_tables(sweep, folder)
@@ -140,7 +142,6 @@ def write_tried(folder: Path, path: Path, reference: str) -> None:
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     """Write every plot as PNG below `output`, and return title and SVG of each by name."""
     if find_spec("matplotlib") is None:
-        print(f"No plots: {NO_MATPLOTLIB}")
         return {}
     from omniocc.report.plots import robustness
     from omniocc.report.plots.figures import PLOTS, learning_curves, without_math
