@@ -51,7 +51,9 @@ class Pair(NamedTuple):
     @property
     def warning(self) -> str:
         """Return a line that names what differs between the rows; empty if nothing does."""
-        values = {what: [" or ".join(sorted({of(run) for run in runs})) for runs in self.runs] for what, of in ALIKE.items()}
+        values = {
+            what: [" or ".join(sorted({of(run) for run in runs})) for runs in self.runs] for what, of in ALIKE.items()
+        }
         differs = [f"{what} ({first} and {other})" for what, (first, other) in values.items() if first != other]
         apart = "" if self.setting else "have no setting in common: they "
         return f"Warning: {self.first} and {self.other} {apart}differ in {', '.join(differs)}." if differs else ""
@@ -112,7 +114,9 @@ def row_called(word: str, sweeps: Sequence[Sweep], found: Mapping[str, Sequence[
             return row
     rows = sorted((row for row in found if "@" not in row), key=lambda row: -SequenceMatcher(None, word, row).ratio())
     more = f" and {len(rows) - NEAREST} more" * (len(rows) > NEAREST)
-    raise UserError(f"no finished run of row {in_line(word)}; with runs, nearest first: {', '.join(rows[:NEAREST])}{more}")
+    raise UserError(
+        f"no finished run of row {in_line(word)}; with runs, nearest first: {', '.join(rows[:NEAREST])}{more}"
+    )
 
 
 def _plain(title: str) -> str:

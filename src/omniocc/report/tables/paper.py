@@ -52,8 +52,8 @@ class PaperTable(NamedTuple):
         number: the table's number in the paper.
         compares: `parts` of one system, whose rows share depth and sketch of a seed; `grids`, whose rows share the
             depth alone and are compared as systems; or `systems`.
-        claims: pairs of rows, the first ahead of the second: in the paper, or as a claim of one's own about rows of which
-            one has no printed figure. The paper's best row over every other one is always claimed.
+        claims: pairs of rows, the first ahead of the second: in the paper, or as a claim of one's own where one of them
+            has no printed figure. The paper's best row over every other one is always claimed.
         of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
         steps: number of steps of the runs in the table; empty before `of_steps`.
     """
