@@ -28,7 +28,7 @@ ALIKE: Mapping[str, Callable[[FinishedRun], str]] = {
     "preset": lambda run: run.setting[0],
     "data": lambda run: run.setting[2][:8],
     "steps of depth/sketch/model": lambda run: steps_of_stages(run) if run.facts.get("stages") else run.setting[1],
-    "samples a step": lambda run: str(run.config.get("data", {}).get("batch_size", "–")),
+    "samples a step": lambda run: str((run.config.get("data") or {}).get("batch_size", "–")),
     "grid": lambda run: grid_name(run.config),
 }
 """What two rows should have in common, since a difference in it can make the gap."""
@@ -155,11 +155,14 @@ def gap_of(first: Runs, other: Runs, key: str) -> tuple[Gap, str]:
     figures = figure_of(first, key), figure_of(other, key)
     if figures[0] is None or figures[1] is None or not counted_alike((*first, *other), key):
         return UNKNOWN, ""
-    with_depth = [[run for run in runs if run.metrics.get(RANGE_ERROR, math.nan) >= 0] for runs in (first, other)]
-    paired = paired_gap(*with_depth, key)
+    paired = paired_gap(_with_depth(first), _with_depth(other), key)
     if not math.isnan(paired.error):
         return paired, f"{paired.freedom + 1:.0f} seeds of both, paired"
     return gap_of_systems(first, other, key), f"{figures[0].seeds} and {figures[1].seeds} seeds"
+
+
+def _with_depth(runs: Runs) -> Runs:
+    return [run for run in runs if not math.isnan(run.metrics.get(RANGE_ERROR, math.nan))]
 
 
 def verdict(pair: Pair, gap: Gap, p_value: float) -> str:
