@@ -3,8 +3,10 @@
 Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, with the paper's figures beside ours;
 one page has all tables, plots, and the same test frames for all rows. Runs of another preset, number of steps or
 dataset have tables and a page of their own in a subfolder; rows of tables may name them, as `ours@3000`. It works also
-while a sweep is running. A run belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the
-row with the same configuration (`make demo FULL=1`: `extended`).
+while a sweep is running. A summary is printed, with `--all` every table. A run belongs to the row of its name
+(`+ablation=mono` gives `mono-<hash>`), or else to the row with the same configuration (`make demo FULL=1`: `extended`).
+
+`python src/report.py --compare my_refiner omnidepth_occ` only prints whether one row is ahead of another.
 """
 
 import argparse
@@ -23,11 +25,15 @@ from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps
 from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
+from omniocc.report.tables.compare import comparison_text
 from omniocc.report.tables.power import power_chapter, seed_std_of
+from omniocc.report.tables.summary import first_lines, summary
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
+SETTINGS = 4
+"""Most settings besides the first whose pages are named without --all."""
 NO_MATPLOTLIB = f"matplotlib is missing: {installing('plot')}"
 ROOT = Path(__file__).parents[1]
 GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
@@ -51,6 +57,9 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
     kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
     found.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
+    compared = "only compare the first of these rows with each other one, such as my_refiner omnidepth_occ"
+    found.add_argument("--compare", metavar="ROW", nargs="+", help=compared)
+    found.add_argument("--all", action="store_true", help="print every table, which report.md has, not a summary")
     recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
     found.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
     seeds = (
@@ -75,6 +84,9 @@ def main(arguments: list[str] | None = None) -> None:
         write_tried(options.runs, options.tried, options.reference)
         return
     sweeps = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
+    if options.compare is not None:
+        print(comparison_text(sweeps, options.compare))
+        return
     if options.power is not None:
         given = [seed_std_of(options.power)] if options.power else sweeps[0].seed_stds
         print(power_chapter(sweeps[0].tables, sweeps[0].table_rows, given))
@@ -84,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
         if options.docs.resolve() == ROOT / "docs" / "results":
             write_results_into(ROOT / "README.md", sweeps[0])
         draw_curves(sweeps[0], options.docs)
-    write_report(sweeps, options.output or options.runs / "report")
+    write_report(sweeps, options.output or options.runs / "report", options.all)
 
 
 def draw_curves(sweep: Sweep, folder: Path) -> None:
@@ -102,21 +114,24 @@ def draw_curves(sweep: Sweep, folder: Path) -> None:
         save_svg(figure, folder / CURVES_IMAGE)
 
 
-def write_report(sweeps: Sequence[Sweep], output: Path) -> None:
-    """Write tables, plots and a page of every setting, and print the tables of the first."""
+def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
+    """Write tables, plots and a page of every setting, and print a summary of the first, or `whole` all its tables."""
     first, *others = sweeps
     folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
     pages = {setting: folder / "index.html" for setting, folder in folders.items()}
+    if find_spec("matplotlib") is None:
+        print(f"No plots: {NO_MATPLOTLIB}")
     for sweep in sweeps:
         folder = folders[sweep.setting]
         write_tables(sweep, folder)
         links = {setting: path for setting, path in pages.items() if setting != sweep.setting}
         plots, frames = draw(sweep, folder), compared_frames(sweep.rows)
         atomic_write(folder / "index.html", page(sweep, plots, frames, folder, links))
-    print(report_markdown(first))
-    for setting, path in list(pages.items())[1:]:
-        print(f"setting {setting}: {path}")
-    print(f"tables  {output / 'report.md'}\npage    {output / 'index.html'}")
+    links = [f"setting {setting}: {path}" for setting, path in list(pages.items())[1:]]
+    print(report_markdown(first) if whole else f"{summary(first)}\n")
+    for link in links if whole else first_lines(links, SETTINGS, "settings"):
+        print(link)
+    print(f"tables  {output / 'report.md'}{'' if whole else ' (--all prints them)'}\npage    {output / 'index.html'}")
 
 
 def write_tried(folder: Path, path: Path, reference: str) -> None:
@@ -129,7 +144,6 @@ def write_tried(folder: Path, path: Path, reference: str) -> None:
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     """Write every plot as PNG below `output`, and return title and SVG of each by name."""
     if find_spec("matplotlib") is None:
-        print(f"No plots: {NO_MATPLOTLIB}")
         return {}
     from omniocc.report.plots import robustness
     from omniocc.report.plots.figures import PLOTS, learning_curves, without_math

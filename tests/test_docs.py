@@ -17,8 +17,9 @@ PAGES += sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in page.parts]
 
 EXAMPLES = {
-    "src/omniocc/model/sketch/low.py", "conf/model/sketch/low.yaml", "tests/model/sketch/test_low.py",
-    "omniocc.model.sketch.Low", "conf/ablation/my_lifter.yaml", "sweeps/my_lifters.yaml",
+    "src/omniocc/model/refiner/my_refiner.py", "conf/model/refiner/my_refiner.yaml",
+    "tests/model/refiner/test_my_refiner.py", "omniocc.model.refiner.MyRefiner", "conf/ablation/my_refiner.yaml",
+    "conf/ablation/my_lifter.yaml", "sweeps/my_lifters.yaml",
 }  # fmt: skip
 """What a reader is to write, as is everything below `mylib/`."""
 
@@ -100,7 +101,7 @@ def commands() -> list[str]:
     """Return the overrides of every training command that stands complete on a line of its own."""
     pages = [page for page in PAGES if page.name in ("README.md", "swap_a_part.md", "own_data.md", "cluster.md")]
     found = {line.strip() for page in pages for line in COMMAND.findall(page.read_text())}
-    return sorted(line for line in found if not re.search(r"<|--|model/sketch=low|my_|/data/|\.\.\.", line))
+    return sorted(line for line in found if not re.search(r"<|--|my_|/data/|\.\.\.", line))
 
 
 @pytest.mark.parametrize("overrides", commands())

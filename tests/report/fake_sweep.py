@@ -1,5 +1,6 @@
-"""Finished runs as `train.py` leaves them, without training: figures, configuration, curves, images, dataset."""
+"""Finished runs as `train.py` leaves them, without training, and the script that reports over them."""
 
+import importlib.util
 import sys
 from pathlib import Path
 
@@ -21,6 +22,7 @@ CUBOID = {"_target_": "omniocc.geometry.Cuboid", "shape": [8, 8, 4]}
 OMNI = {"_target_": "omniocc.model.sketch.Omni"}
 DENSE = {"_target_": "omniocc.model.sketch.Dense"}
 SHEET = "test-00-test-000-suburb-000001"
+ROOT = Path(__file__).parents[2]
 
 
 def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
@@ -94,3 +96,13 @@ def write_sweep(root: Path) -> Path:
     for name in ("ours-00000001", "my <own>-00000001"):
         (runs / name / PAGE).write_text("a page of view.py")
     return runs
+
+
+def report(*arguments: str) -> None:
+    """Run `src/report.py`."""
+    spec = importlib.util.spec_from_file_location("report_script", ROOT / "src" / "report.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.main(list(arguments))

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from fake_sweep import report
 
 from omniocc.report.sweep import read_sweeps
 from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
@@ -45,15 +46,6 @@ class Outline(HTMLParser):
 
     def handle_data(self, data):
         self.text.append(data)
-
-
-def report(*arguments: str) -> None:
-    spec = importlib.util.spec_from_file_location("report_script", ROOT / "src" / "report.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    script.main(list(arguments))
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +145,31 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
 
 
+def test_thirty_lines_are_printed_at_most_and_all_tables_by_a_flag(runs, tmp_path, capsys, monkeypatch):
+    """Of fourteen rows six have seeds that differ, and eight a run with another number of steps."""
+    folder = tmp_path / "runs"
+    for number in range(14):
+        first, other = (shutil.copytree(runs / "my <own>-00000001", folder / f"row{number}-0000000{k}") for k in (1, 2))
+        for path in (first, other):
+            shutil.rmtree(path / "images")
+        facts = json.loads((other / "metrics.json").read_text())
+        more = {"seed": 1} if number < 6 else {"steps": 50 + number}
+        (other / "metrics.json").write_text(json.dumps(facts | more))
+        config = yaml.safe_load((other / "config.yaml").read_text()) | {"lr": 0.7}
+        (other / "config.yaml").write_text(yaml.safe_dump(config))
+    find_spec = importlib.util.find_spec  # plots take most of the time
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find_spec(name))
+    report("--runs", str(folder))
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 30
+    assert "| row0 | 2 | 0.250 ± 0.000 | 0.125 ± 0.000 |" in printed
+    assert [line for line in printed if line.startswith("...")] == [
+        "... and 4 more remarks", "... and 4 more rows", "... and 4 more settings"
+    ]  # fmt: skip
+    report("--runs", str(folder), "--all")
+    assert (folder / "report" / "report.md").read_text().split("\n## Runs\n")[0].strip() in capsys.readouterr().out
+
+
 def test_the_path_is_printed_also_for_an_unfinished_sweep(runs, tmp_path, capsys):
     part = tmp_path / "runs"
     (part / "mono-00000001" / "csv" / "version_0").mkdir(parents=True)
@@ -238,7 +255,7 @@ def test_runs_of_other_lengths_have_pages_of_their_own_and_can_be_named_in_table
     assert "-4000-" in other.name
     assert f'href="{other.name}/index.html"' in (folder / "report" / "index.html").read_text()
     assert 'href="../index.html"' in (other / "index.html").read_text()
-    for text in (capsys.readouterr().out, (other / "report.md").read_text()):
+    for text in ((folder / "report" / "report.md").read_text(), (other / "report.md").read_text()):
         (line,) = (line for line in text.splitlines() if line.startswith("| four times the steps"))
         assert "here, 1 seed" in line
 

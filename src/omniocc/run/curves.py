@@ -3,9 +3,10 @@
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, shown
 from omniocc.io import check_regular
 
 CURVES = "csv/version_*/metrics.csv"
@@ -34,8 +35,8 @@ def read_curves(folder: Path) -> dict[str, Curve]:
         for row in rows:
             step = int(row.pop("step"))
             for key, value in row.items():
-                if value and math.isfinite(float(value)):
-                    curves.setdefault(key, {})[step] = float(value)
+                if value and math.isfinite(number := _number(path, key, value)):
+                    curves.setdefault(key, {})[step] = number
     return {key: curve for key, curve in curves.items() if curve}
 
 
@@ -52,5 +53,16 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
     except UnicodeDecodeError as error:
         raise UserError(f"{path} is damaged: it is no text") from error
-    rows = csv.DictReader(io.StringIO(whole + end, newline=""))
-    return [row for row in rows if (row.get("step") or "").isdigit() and None not in row and None not in row.values()]
+    try:
+        rows = list(csv.DictReader(io.StringIO(whole + end, newline="")))
+    except csv.Error as error:
+        raise UserError(f"{path} is damaged: {error}") from error
+    whole_rows = (row for row in rows if None not in row and None not in row.values())
+    return [row for row in whole_rows if re.fullmatch(r"[0-9]{1,15}", row.get("step", ""))]
+
+
+def _number(path: Path, key: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError as error:
+        raise UserError(f"{path} is damaged: {key} is {shown(value)}") from error

@@ -78,7 +78,10 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
             raise ValueError(f"{wrong[0]} is {shown(facts[wrong[0]])}")
         if any("<" in line for line in facts.get(PROTOCOL, {}).values()):  # it is printed into pages as it is
             raise ValueError(f"a line of its {PROTOCOL} has tags")
-        return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
+        figures = {key: math.nan if value is None else float(value) for key, value in metrics.items()}
+        if wrong := [key for key, value in figures.items() if math.isinf(value)]:
+            raise ValueError(f"{wrong[0]} is infinite")
+        return facts, figures
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         reason = first_line(error)
         raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error

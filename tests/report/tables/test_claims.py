@@ -21,6 +21,7 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
+from omniocc.report.tables.verdicts import verdict_cells
 from omniocc.run.scenes import LIDAR as LIDAR_RAYS
 from omniocc.run.scenes import RAYS, save_scenes
 
@@ -140,6 +141,38 @@ def test_the_family_has_every_claim_of_all_tables_once():
 
 def least_size(found: list[Judged]) -> float:
     return min(entry.claim.p_size for entry in found)
+
+
+def test_rows_without_printed_figures_have_claims_of_their_own(tmp_path):
+    """Two seeds of difference .09 and .11: t = 10 of one degree of freedom, p = .0635 and in a family of two .127."""
+    rows = "rows: {ours: {title: paper's}, mine: {title: mine}, plain: {title: plain}}"
+    text = f"title: Mine\norder_by: {OWN}\ncolumns: {{{OWN}: RayIoU}}\n{rows}\nclaims: [[mine, plain], [mine, ours]]\n"
+    (tmp_path / "mine.yaml").write_text(text)
+    table = load_table(tmp_path / "mine.yaml")
+    assert titles(table) == [("mine", "plain"), ("mine", "ours")]
+    runs = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.21, 0.23)}
+    (found,) = judged([table], runs).values()
+    assert found.none == pytest.approx(0.12690, abs=1e-5)
+    assert claim_cells(table, runs, judged([table], runs))[1] == [
+        ["mine ahead of plain", "–", "own voxels", "–", "+0.100 ± 0.010", "–", ".063 (.13)", "–", "undecided"]
+    ]
+    same = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.20, 0.24)}
+    assert [each.verdict for each in judged([table], same).values()] == ["holds"]
+    assert [line[2:6] for line in verdict_cells([table], same, judged([table], same))[1]] == [
+        ["–", "–", "2 and 2", "holds"], ["–", "–", "–", "not run"]
+    ]  # fmt: skip
+
+
+def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_a_printed_one():
+    """`sketch` has four printed claims; the fifth is `random` over `mono`, and a copy has one again without figures."""
+    own = SKETCH._replace(claims=[("random", "dense")], rows=[e._replace(paper={OWN: None}) for e in SKETCH.rows])
+    again = own._replace(name="again", claims=[("ours", "dense")])
+    runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.20, 0.25)}
+    for tables in ([again, own, SKETCH], [SKETCH, own, again]):
+        (found,) = judged(tables, runs).values()
+        assert found.claim.paper == pytest.approx(0.036)
+        assert found.none == pytest.approx(min(1, 5 * found.claim.gap.p_none))
+        assert found.size == pytest.approx(min(1, 4 * found.claim.p_size))
 
 
 def test_a_judge_decides_only_the_claims_in_its_scores():

@@ -115,7 +115,8 @@ def test_a_broken_table_is_named(tmp_path):
         ("order_by: b", "order_by is b, which is no column"),
         ("order_by: a\ncompares: all", "compares is all; it is one of parts, grids, systems"),
         ("order_by: a\nclaims: [[mono, ours]]", "claims has mono over ours, which is not so in the paper's a"),
-        ("order_by: a\nclaims: [[ours, gone]]", "claims has ours over gone"),
+        ("order_by: a\nclaims: [[ours, gone]]", "claims has ours over gone, but the table has no row gone"),
+        ("order_by: a\nclaims: [[ours, ours]]", "claims has ours over ours, which is not so"),
         ("order_by: a\nclaims: [ours]", "is not a table of the paper"),
     ],
 )

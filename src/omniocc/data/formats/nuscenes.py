@@ -172,6 +172,8 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
         rows = (r for r in records(path, progress) if r["scene_token"] in scenes)
         named = ((checked_name(f"{path}: token", r["token"]), r) for r in rows)
         samples = once(path, ((token, (scenes[r["scene_token"]], int(r["timestamp"]))) for token, r in named))
+        if not samples:
+            raise DataError(f"{path}: it has no sample of the scenes of scene.json")
         path = tables / "sensor.json"
         channels = once(path, ((r["token"], r["channel"]) for r in records(path)))
         path = tables / "calibrated_sensor.json"

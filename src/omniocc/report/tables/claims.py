@@ -31,7 +31,7 @@ class Claim(NamedTuple):
     """A gap of the paper, and the same here by one judge.
 
     Attributes:
-        paper: the printed gap; above 0.
+        paper: the printed gap, above 0; nan in a claim of one's own, about a row without a printed figure.
         size: the printed gap in proportion to the better row's score here: printed gap / printed score * score here.
         gap: as it is measured here.
         streets: standard error of the gap over the streets of the test, without that over seeds; nan if unknown.
@@ -44,8 +44,10 @@ class Claim(NamedTuple):
 
     @property
     def p_size(self) -> float:
-        """Return the one-sided p-value of 'the gap is as large as the paper's, in proportion, or larger'."""
+        """Return the one-sided p-value of 'the gap is as large as the paper's, in proportion, or larger', or nan."""
         here, error, freedom = self.gap
+        if math.isnan(self.size):
+            return math.nan
         if error < EXACT:
             return float(here > self.size - EXACT)
         return float(stats.t.cdf((here - self.size) / error, freedom))
@@ -64,7 +66,7 @@ class Judged(NamedTuple):
 
         It holds if 'there is no gap' is rejected and the gap has the paper's sign. It does not hold if 'there is no
         gap' is rejected and the gap has the other sign, or, 'smaller', if 'the gap is as large as the paper's' is
-        rejected while 'there is no gap' is not. Otherwise it is undecided.
+        rejected while 'there is no gap' is not. Otherwise it is undecided. Without a printed gap nothing is 'smaller'.
         """
         here, error, _ = self.claim.gap
         if math.isnan(error):
@@ -92,10 +94,17 @@ def pairs_of(table: PaperTable) -> Iterator[tuple[PaperRow, PaperRow]]:
 
     Claimed are the paper's best row over every other one, and what the table's `claims` add.
     """
-    printed = {row.run: row for row in table.rows if row.paper[table.order_by] is not None}
-    ranked = sorted(printed.values(), key=lambda row: -(row.paper[table.order_by] or 0.0))
-    yield from ((ranked[0], row) for row in printed.values() if row is not ranked[0])
-    yield from ((printed[better], printed[other]) for better, other in table.claims)
+    rows = {row.run: row for row in table.rows}
+    printed = [row for row in table.rows if row.paper[table.order_by] is not None]
+    ranked = sorted(printed, key=lambda row: -(row.paper[table.order_by] or 0.0))
+    yield from ((ranked[0], row) for row in printed if row is not ranked[0])
+    yield from ((rows[better], rows[other]) for better, other in table.claims)
+
+
+def claims_in(tables: Sequence[PaperTable]) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
+    """Return the claims of all tables, those with a printed gap first: where one stands twice, that gap counts."""
+    claims = [(table, *pair) for table in tables for pair in pairs_of(table)]
+    return sorted(claims, key=lambda claim: math.isnan(claim[0].printed_gap(*claim[1:])))
 
 
 def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
@@ -105,16 +114,17 @@ def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
 
 def rows_of_claims(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Rows:
     """Return the rows of claims that have run, of those about two rows that share stages, or of the others."""
-    pairs = ((table, pair) for table in tables for pair in pairs_of(table))
-    return _once((row.run for table, pair in pairs if table.shares_stages(*pair) == share_stages for row in pair), rows)
+    claims = ((table, pair) for table, *pair in claims_in(tables))
+    return _once(
+        (row.run for table, pair in claims if table.shares_stages(*pair) == share_stages for row in pair), rows
+    )
 
 
 def planned_claims(tables: Sequence[PaperTable], judge: str) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
     """Return the claims that a judge decides, each once, in its first table, whether its rows have run or not."""
     names, found = names_in(tables), {}
-    for table in tables:
-        key = metric_of(table, judge)
-        for better, other in pairs_of(table) if key is not None else ():
+    for table, better, other in claims_in(tables):
+        if (key := metric_of(table, judge)) is not None:
             found.setdefault((names[better.run], names[other.run], key), (table, better, other))
     return list(found.values())
 
@@ -147,12 +157,11 @@ def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str, paired: bool
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
     noise = {key: None if paired else Gaps(rows_of_claims(tables, rows, True), key) for key in keys}
-    for table in tables:
+    for table, better, other in claims_in(tables):
         key = metric_of(table, judge)
-        for better, other in pairs_of(table):
-            name = name_of(better, other, rows, key)
-            if name is not None and key is not None:
-                found.setdefault(name, _claim(table, better, other, rows, key, noise[key]))
+        name = name_of(better, other, rows, key)
+        if name is not None and key is not None:
+            found.setdefault(name, _claim(table, better, other, rows, key, noise[key]))
     return found
 
 
@@ -210,14 +219,20 @@ def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> di
     found: dict[Name, Judged] = {}
     for judge in JUDGES:
         claims = claims_of(tables, rows, judge, paired)
-        tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
-        tests = len(planned_claims(tables, judge))
-        none = dict(zip(tested, holm([claim.gap.p_none for claim in tested.values()], tests), strict=True))
-        size = dict(zip(tested, holm([claim.p_size for claim in tested.values()], tests), strict=True))
+        planned = planned_claims(tables, judge)
+        none = _adjusted({name: claim.gap.p_none for name, claim in claims.items()}, len(planned))
+        printed = [claim for claim in planned if not math.isnan(claim[0].printed_gap(*claim[1:]))]
+        size = _adjusted({name: claim.p_size for name, claim in claims.items()}, len(printed))
         found |= {
             name: Judged(claim, none.get(name, math.nan), size.get(name, math.nan)) for name, claim in claims.items()
         }
     return found
+
+
+def _adjusted(p_values: Mapping[Name, float], tests: int) -> dict[Name, float]:
+    """Return the p-values that are known, adjusted by Holm for a number of tests."""
+    known = {name: p_value for name, p_value in p_values.items() if not math.isnan(p_value)}
+    return dict(zip(known, holm(list(known.values()), tests), strict=True))
 
 
 def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
@@ -235,8 +250,13 @@ def line_of(found: Judged, judge: str) -> list[str]:
     """Return the cells of a judged claim behind its title."""
     claim = found.claim
     tests = [p_cell(claim.gap.p_none, found.none), p_cell(claim.p_size, found.size)]
-    sizes = f"{claim.size:+.3f}", claim.gap.written, streets_cell(claim)
-    return [f"{claim.paper:+.3f}", judge, *sizes, *tests, found.verdict]
+    sizes = signed(claim.size), claim.gap.written, streets_cell(claim)
+    return [signed(claim.paper), judge, *sizes, *tests, found.verdict]
+
+
+def signed(gap: float) -> str:
+    """Return a gap for a table; a dash where there is none."""
+    return "–" if math.isnan(gap) else f"{gap:+.3f}"
 
 
 def both_errors(claim: Claim) -> str:
@@ -253,11 +273,12 @@ def streets_cell(claim: Claim) -> str:
 
 
 def p_cell(p_value: float, adjusted: float) -> str:
-    """Return a p-value and its adjusted one for a table, with two digits that count."""
+    """Return a p-value and its adjusted one for a table."""
     if math.isnan(adjusted):
         return "–"
-    return f"{_short(p_value)} ({_short(adjusted)})"
+    return f"{p_text(p_value)} ({p_text(adjusted)})"
 
 
-def _short(p_value: float) -> str:
+def p_text(p_value: float) -> str:
+    """Return a p-value for a table, with two digits that count."""
     return "<.0001" if p_value < 1e-4 else f"{p_value:.2g}".removeprefix("0") if p_value < 1 else "1"

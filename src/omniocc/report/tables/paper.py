@@ -55,8 +55,8 @@ class PaperTable(NamedTuple):
         number: the table's number in the paper.
         compares: `parts` of one system, whose rows share depth and sketch of a seed; `grids`, whose rows share the
             depth alone and are compared as systems; or `systems`.
-        claims: pairs of rows; the paper has the first ahead of the second. Its best row over every other one is always
-            claimed.
+        claims: pairs of rows, the first ahead of the second: in the paper, or as a claim of one's own where one of them
+            has no printed figure. The paper's best row over every other one is always claimed.
         of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
         steps: number of steps of the runs in the table; empty before `of_steps`.
         reasons: why a claim does not hold or is undecided in the runs of the documentation, by its words there.
@@ -85,15 +85,11 @@ class PaperTable(NamedTuple):
         return self.compares != "systems" and not (better.alone or other.alone)
 
     def printed_gap(self, better: PaperRow, other: PaperRow) -> float:
-        """Return the paper's gap between two rows of a claim.
-
-        Raises:
-            ValueError: if the paper has no figure of one of them.
-        """
+        """Return the paper's gap between two rows of a claim; nan if the paper has no figure of one of them."""
         return _printed(better, self.order_by) - _printed(other, self.order_by)
 
     def in_proportion(self, better: PaperRow, other: PaperRow, score: float) -> float:
-        """Return the paper's gap where the better row scores as here: printed gap / printed score * score."""
+        """Return the paper's gap where the better row scores as here: printed gap / printed score * score, or nan."""
         return self.printed_gap(better, other) / _printed(better, self.order_by) * score
 
     def of_steps(self, steps: str) -> "PaperTable":
@@ -109,9 +105,7 @@ class PaperTable(NamedTuple):
 
 def _printed(row: PaperRow, column: str) -> float:
     figure = row.paper[column]
-    if figure is None:
-        raise ValueError(f"the paper has no {column} of {row.run}")
-    return figure
+    return math.nan if figure is None else figure
 
 
 class Figure(NamedTuple):
@@ -155,9 +149,11 @@ def _check(table: PaperTable, path: Path) -> None:
         raise UserError(f"{path}: order_by is {order_by}, which is no column")
     if table.compares not in COMPARED:
         raise UserError(f"{path}: compares is {table.compares}; it is one of {', '.join(COMPARED)}")
-    printed = {row.run: row.paper[order_by] for row in table.rows}
+    rows = {row.run: row for row in table.rows}
     for better, other in table.claims:
-        if (printed.get(better) or 0.0) <= (printed.get(other) or 1.0):
+        if gone := [row for row in (better, other) if row not in rows]:
+            raise UserError(f"{path}: claims has {better} over {other}, but the table has no row {gone[0]}")
+        if better == other or table.printed_gap(rows[better], rows[other]) <= 0:
             raise UserError(f"{path}: claims has {better} over {other}, which is not so in the paper's {order_by}")
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 from omniocc.errors import UserError
 from omniocc.io import read_yaml
 from omniocc.report.runs import RAY_IOU
-from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, rows_of_claims
+from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, rows_of_claims, signed
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.run.table import Cells, markdown
@@ -153,6 +153,8 @@ def seeds_needed(size: float, std: float, freedom: Callable[[int], int], claims:
 def power_cells(tables: Sequence[PaperTable], rows: Rows, stds: Sequence[Mapping[str, SeedStd]]) -> Cells:
     """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every standard deviation.
 
+    A claim without a printed gap has dashes; it counts in the family.
+
     Args:
         tables: the paper's tables.
         rows: runs of each row.
@@ -161,7 +163,7 @@ def power_cells(tables: Sequence[PaperTable], rows: Rows, stds: Sequence[Mapping
     claims, parts = wanted(tables, rows), _number_of_parts(tables)
     lines = []
     for claim in claims:
-        gaps = f"{claim.paper:+.3f}", "–" if math.isnan(claim.size) else f"{claim.size:+.3f}"
+        gaps = signed(claim.paper), signed(claim.size)
         lines.append([claim.title, claim.table, *gaps, *_needed(claim, stds, parts, len(claims))])
     head = [f"std. dev. {entry[RAY_IOU].parts:.4f} / {entry[RAY_IOU].systems:.4f}" for entry in stds]
     return ["claim", "table", "paper", "in proportion", *head], lines

@@ -17,6 +17,7 @@ from omniocc.report.tables.claims import (
     p_cell,
     pairs_of,
     planned_claims,
+    signed,
     title_of,
 )
 from omniocc.report.tables.formats import Part, parts_text
@@ -150,7 +151,7 @@ def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cel
         paper = next(iter(claim.found.values())).claim.paper
         changes = "unknown" if math.isnan(p_value) else "yes" if p_value < LEVEL else "not found"
         last = [claim.change.written, p_cell(claim.change.p_none, p_value), changes]
-        lines.append([claim.title, f"{paper:+.3f}", claim.judge, *cells, *last])
+        lines.append([claim.title, signed(paper), claim.judge, *cells, *last])
     return head, lines
 
 

@@ -18,6 +18,7 @@ from omniocc.report.tables.claims import (
     name_of,
     p_cell,
     planned_claims,
+    signed,
     title_of,
 )
 from omniocc.report.tables.formats import Part
@@ -96,10 +97,10 @@ def _line(
     own, lidar = found.values()
     title = title_of(table, better, other)
     if own is None:
-        printed = f"{table.printed_gap(better, other):+.3f}"
+        printed = signed(table.printed_gap(better, other))
         ran = better.run in rows and other.run in rows
         return [title, table.title, printed, "–", "–", OTHERWISE if ran else NOT_RUN, *["–"] * len(JUDGES), "–"]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = ["–" if each is None else both_errors(each.claim) for each in found.values()]
-    sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"
+    sizes = signed(own.claim.paper), signed(own.claim.size)
     return [title, table.title, *sizes, seeds, own.verdict, *gaps, "–" if lidar is None else lidar.verdict]
