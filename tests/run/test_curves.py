@@ -1,5 +1,8 @@
 """Curves out of CSV files, finished ones and those that are being written."""
 
+import pytest
+
+from omniocc.errors import UserError
 from omniocc.run.curves import read_curve, read_curves
 
 
@@ -37,3 +40,13 @@ def test_a_file_that_is_being_written_gives_its_complete_lines(tmp_path):
         assert all(whole[key][step] == value for key, curve in part.items() for step, value in curve.items())
     path.write_text("step,train/loss\n9,1.0\nno step,2.0\n19\n29,3.0,4.0\n")
     assert read_curves(tmp_path) == {"train/loss": {9: 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("9,\0", "train/loss is '.x00'"), ("9,low", "train/loss is 'low'"), ("9," + "1" * 2**18, "field larger than")],
+)
+def test_a_damaged_file_is_named(line, said, tmp_path):
+    write(tmp_path, 0, "step,train/loss", line)
+    with pytest.raises(UserError, match=rf"metrics\.csv is damaged: {said}"):
+        read_curves(tmp_path)

@@ -42,9 +42,10 @@ def test_a_run_of_another_commit_is_named(tmp_path):
     assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"
 
 
-def test_a_score_that_no_float_holds_is_refused(tmp_path):
-    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": 10**400}}))
-    with pytest.raises(UserError, match=r"metrics\.json is damaged \(int too large"):
+@pytest.mark.parametrize(("score", "said"), [(10**400, "int too large"), (float("inf"), "test/rayiou is infinite")])
+def test_a_score_that_no_float_holds_is_refused(score, said, tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": score}}))
+    with pytest.raises(UserError, match=rf"metrics\.json is damaged \({said}"):
         load_results(tmp_path)
 
 

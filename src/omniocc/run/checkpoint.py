@@ -21,7 +21,7 @@ from omniocc.config import (
 from omniocc.data.recording.pool import usable_cores
 from omniocc.errors import UserError, shortened
 from omniocc.run.checkpoint_io import read_checkpoint
-from omniocc.run.trust import TARGET, fault_of, not_offered
+from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, read_weights
 
 STAGE, CONFIG = "stage", "config"
@@ -141,7 +141,7 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
         UserError: when they name classes of other packages, or classes that are not offered at their place.
         ConfigError: when they do not fit this version.
     """
-    if wrong := [part for part in parts if not OmegaConf.is_dict(node := config.get(part)) or TARGET not in node]:
+    if wrong := [part for part in parts if not isinstance(config.get(part), DictConfig)]:
         raise UserError(f"{path} is damaged or of another version: its configuration has no {wrong[0]} to build")
     trusted = allowed(OWN_PACKAGE, packages)
     chosen = OmegaConf.create({part: config[part] for part in parts})

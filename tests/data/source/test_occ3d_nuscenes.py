@@ -236,6 +236,7 @@ def first(text, **other):
         ("ego_pose", lambda text: text.replace("[\n1.0,", "[\n0.4,"), r"ego_pose\.json: record .* are no pose"),
         ("ego_pose", lambda text: "[]", r"ego_pose\.json: the record pose-.* is missing"),
         ("sample_data", lambda text: "[]", r"sample scene-0001-0 has no CAM_FRONT, "),
+        ("sample", lambda text: "[]", r"sample\.json: it has no sample of the scenes of scene\.json$"),
         ("scene", lambda text: "[]", r"scene\.json: it has no record of a scene$"),
         ("scene", lambda text: twofold(text), r"scene\.json: there are two records of "),
         (
