@@ -48,6 +48,16 @@ def allowed(packages: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...
     return tuple(dict.fromkeys([*packages, *(name.strip() for name in named if name.strip()), *more]))
 
 
+def own_folders() -> list[Path]:
+    """Return the folders `conf` of the packages in `OMNIOCC_PACKAGES`; raise UserError when one cannot be imported."""
+    found = []
+    for package in allowed(()):
+        if (spec := spec_of(package)) is None:
+            raise UserError(f"{package}, which {PACKAGES_VARIABLE} names, {NOT_THERE}")
+        found += [Path(place) / "conf" for place in spec.submodule_search_locations or ()]
+    return [folder for folder in found if folder.is_dir()]
+
+
 def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Sequence[str] | None = None) -> None:
     """Compare a composed tree with the signatures it names, before anything is built.
 

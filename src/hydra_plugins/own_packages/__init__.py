@@ -5,8 +5,7 @@ from pathlib import Path
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from omniocc.code import spec_of
-from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed
+from omniocc.config import own_folders
 from omniocc.errors import UserError
 
 
@@ -23,12 +22,8 @@ class OwnPackages(SearchPathPlugin):
         platform = [
             Path(item.path.removeprefix("file://")) for item in search_path.get_path() if item.provider == "main"
         ]
-        for package in allowed(()):
-            if (spec := spec_of(package)) is None:
-                raise UserError(f"{package}, which {PACKAGES_VARIABLE} names, {NOT_THERE}")
-            for folder in (Path(place) / "conf" for place in spec.submodule_search_locations or ()):
-                for option in sorted(folder.rglob("*.yaml")):
-                    if any((own / option.relative_to(folder)).exists() for own in platform):
-                        raise UserError(f"{option} has the name of an option of the platform; give it another")
-                if folder.is_dir():
-                    search_path.append(package, f"file://{folder}")
+        for folder in own_folders():
+            for option in sorted(folder.rglob("*.yaml")):
+                if any((own / option.relative_to(folder)).exists() for own in platform):
+                    raise UserError(f"{option} has the name of an option of the platform; give it another")
+            search_path.append(folder.parent.name, f"file://{folder}")

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from omniocc.config import compose_plain
@@ -10,9 +11,15 @@ from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import given
+from omniocc.run.rows import FOLDER, options_of
 
 
-def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
+def assign_rows(
+    runs: Sequence[FinishedRun],
+    conf: Path,
+    rows: Sequence[str],
+    own: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> list[FinishedRun]:
     """Return the runs, each with its row.
 
     A run with the name of a row belongs to it. Any other run (`name=demo`) belongs to the first row whose
@@ -22,22 +29,22 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
         runs: finished runs.
         conf: folder of the configuration, with the rows in `ablation/`, those beyond the paper in its subfolders. A
             row is called as its runs are, by its key `name`.
-        rows: names of the tables' rows; rows without a file in `conf` are found only by name.
+        rows: names of the tables' rows; rows without a file in `conf` and overrides are found only by name.
+        own: overrides of rows that a table trains itself.
 
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    files = {path: read_yaml(path) or {} for path in sorted((conf / "ablation").rglob("*.yaml"))}
-    options = {file.get("name", path.stem): path.relative_to(conf / "ablation") for path, file in files.items()}
-    named = {*rows, *options}
-    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in options]
-    stated = {row: _stated(files[conf / "ablation" / options[row]]) for row in tried}
+    options = options_of(conf)
+    overrides = {row: [f"+{FOLDER}={option}"] for row, option in options.items()} | dict(own)
+    named = {*rows, *overrides}
+    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in overrides]
+    files = {row: read_yaml(conf / FOLDER / f"{options[row]}.yaml") or {} for row in tried if row not in own}
+    stated = {row: _stated(files.get(row, {})) for row in tried}
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
-        return given(
-            compose_plain(conf, "train", [f"preset={preset}", f"+ablation={options[row].with_suffix('').as_posix()}"])
-        )
+        return given(compose_plain(conf, "train", [f"preset={preset}", *overrides[row]]))
 
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
