@@ -199,6 +199,7 @@ def test_views_of_one_number_give_no_room_to_build(tmp_path):
         ("model.weight", torch.eye(2).to(torch.float8_e4m3fn)),
         ("model.weight", torch.eye(2, device="meta")),
         ("model.weight", torch.eye(2) * 1j),
+        ("model.weight", torch.ones(1).expand(2**40)),
         ("model.weight", [1.0]),
     ],
 )

@@ -110,7 +110,8 @@ def _is_weight(name: object, value: object) -> bool:
     if not isinstance(name, str) or not isinstance(value, Tensor):
         return False
     whole = not (value.is_floating_point() or value.is_complex() or value.is_quantized)
-    return value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
+    real = value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
+    return real and value.nbytes <= value.untyped_storage().nbytes()  # else it repeats few numbers, in any size
 
 
 def load_weights(
