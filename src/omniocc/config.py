@@ -161,6 +161,8 @@ def check_root(cfg: DictConfig) -> None:
     Raises:
         ConfigError: with every problem found.
     """
+    if "sweep" in cfg:
+        raise ConfigError(["sweep: a table is trained by python src/train.py --multirun +sweep=<table>"])
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
     problems += [] if problems else _wrong_names(cfg)

@@ -1,0 +1,92 @@
+"""Jobs of `--multirun +sweep=<table>`."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_automatic_config_search_path
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
+
+from omniocc.errors import UserError
+from omniocc.run.rows import options_of, overrides_of
+
+CONF = Path(__file__).parents[2] / "conf"
+MINE = """
+title: Mine
+seeds: [3, 4]
+overrides: [preset=small]
+rows:
+  ours: {title: coloring}
+  my_lifter: {title: pillar, overrides: [model/lifter=pillar]}
+  my_lifter_long@3000: {title: pillar for longer, overrides: [model/lifter=pillar]}
+"""
+
+
+def jobs(*arguments: str, folder: Path | None = None) -> list[str]:
+    path = create_automatic_config_search_path(None, None, str(CONF))
+    if folder is not None:
+        path.append("mylib", f"file://{folder}")
+    loader = ConfigLoaderImpl(path)
+    # Hydra imports its plug-ins anew when it looks for them, so that only the class it finds fits its base class
+    sweeper: Any = Plugins.instance().class_name_to_class["hydra_plugins.table_sweeper.TableSweeper"](None)
+    sweeper.config = OmegaConf.create(
+        {"hydra": {"runtime": {"config_sources": [{"provider": "main", "path": str(CONF)}]}}}
+    )
+    sweeper.hydra_context = SimpleNamespace(config_loader=loader)
+    parsed = OverridesParser.create(config_loader=loader).parse_overrides(list(arguments))
+    (batch,) = sweeper.split_arguments(parsed, None)
+    return [" ".join(job) for job in batch]
+
+
+def test_every_row_of_a_table_is_trained_with_every_choice():
+    assert jobs("+sweep=refine", "seed=0,1", "preset=small") == [
+        f"+ablation={row} seed={seed} preset=small"
+        for row in ("ours", "refine_attention", "wo_refine")
+        for seed in (0, 1)
+    ]
+
+
+def test_a_row_of_two_tables_is_trained_once():
+    rows = ["ours", "refine_attention", "wo_refine", "wo_dilation", "mono", "dense", "random"]
+    assert jobs("+sweep=refine,sketch") == [f"+ablation={row}" for row in rows]
+
+
+def test_rows_in_folders_and_of_other_steps_are_found():
+    assert "+ablation=rivals/fosocc" in jobs("+sweep=rivals")
+    assert "+ablation=ours preset.stages.occupancy.max_steps=1000" in jobs("+sweep=rivals_budget")
+    assert "+ablation=voxformer_pinhole" in jobs("+sweep=comparison"), "@same names no number of steps"
+
+
+def test_a_table_of_ones_own_has_rows_overrides_and_seeds(tmp_path):
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / "mine.yaml").write_text(MINE)
+    small = "preset=small"
+    rows = [
+        f"{small} +ablation=ours",
+        f"{small} model/lifter=pillar name=my_lifter",
+        f"{small} model/lifter=pillar name=my_lifter_long preset.stages.occupancy.max_steps=3000",
+    ]
+    assert jobs("+sweep=mine", folder=tmp_path) == [f"{row} seed={seed}" for row in rows for seed in (3, 4)]
+    assert jobs("+sweep=mine", "seed=0", folder=tmp_path) == [f"{row} seed=0" for row in rows]
+
+
+def test_without_a_table_the_sweeper_is_that_of_hydra():
+    assert jobs("model/sketch=mono,dense", "seed=1") == ["model/sketch=mono seed=1", "model/sketch=dense seed=1"]
+
+
+def test_mistakes_are_named():
+    with pytest.raises(UserError, match=r"\+sweep=refin: there is no such table"):
+        jobs("+sweep=refin,sketch")
+    with pytest.raises(UserError, match="row gone has no overrides, and conf/ablation has no row of this name"):
+        overrides_of({"rows": {"gone": {"title": "a"}}}, options_of(CONF))
+
+
+@pytest.mark.parametrize("path", sorted((CONF / "sweep").glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_rows_of_every_table_can_be_trained(path):
+    table = OmegaConf.to_container(OmegaConf.load(path))
+    if "order_by" in table:
+        assert len(overrides_of(table, options_of(CONF))) == len(table["rows"])
