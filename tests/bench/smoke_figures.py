@@ -1,4 +1,6 @@
-"""Record figures and training losses of every ablation row at preset=smoke, and compare two recordings digit by digit.
+"""Record figures and training losses of rows at preset=smoke, and compare two recordings digit by digit.
+
+The rows are those of the paper, the systems and what goes beyond the paper.
 
     python tests/bench/smoke_figures.py record before.json
     python tests/bench/smoke_figures.py compare before.json after.json [--renamed renamed.json]
@@ -17,7 +19,12 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-ROWS = sorted(path.stem for path in (ROOT / "conf" / "ablation").glob("*.yaml"))
+FOLDERS = (".", "beyond", "rivals", "bets")
+ROWS = sorted(
+    path.relative_to(ROOT / "conf" / "ablation").with_suffix("").as_posix()
+    for folder in FOLDERS
+    for path in (ROOT / "conf" / "ablation" / folder).glob("*.yaml")
+)
 
 
 def record(output: Path, rows: list[str]) -> None:
@@ -46,9 +53,10 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"{row} failed:\n{done.stdout}\n{done.stderr}")
-    (metrics,) = (folder / "runs").glob(f"{row}-*/metrics.json")
+    name = Path(row).name
+    (metrics,) = (folder / "runs").glob(f"{name}-*/metrics.json")
     figures = json.loads(metrics.read_text())["metrics"]
-    for curves in (folder / "runs").glob(f"{row}-*/csv/**/metrics.csv"):
+    for curves in (folder / "runs").glob(f"{name}-*/csv/**/metrics.csv"):
         figures |= losses(curves)
     return figures
 
