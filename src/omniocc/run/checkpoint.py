@@ -1,5 +1,6 @@
 """Read checkpoints, which may come from anybody: they may name options of the slots and nothing else."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -149,6 +150,8 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
     tree = plain(chosen)
     if foreign := foreign_packages(tree, trusted):
         names = ",".join(foreign)
+        if any(name in sys.stdlib_module_names for name in foreign):  # which nobody allows for a model of theirs
+            raise UserError(f"{path} cannot be trusted: it names classes of {names}")
         raise UserError(
             f"{path} names classes of {names}, not of this platform; if you trust them, "
             f"allow them by {PACKAGES_VARIABLE}={names} or, for train.py and evaluate.py, packages=[{names}]"
