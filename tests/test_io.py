@@ -47,6 +47,8 @@ DIRECT = {
         "omniocc/data/store/reader.py",
         "(Path(folder) / name).write_bytes(",
     ): "a temporary folder, removed at once",
+    ("omniocc/record/bag_reader.py", "(Path(made) / place.name).write_text("): "a temporary folder, removed at once",
+    ("omniocc/record/bag_reader.py", "target.open('xb')"): "a temporary folder, removed at once",
     ("omniocc/record/carla/client.py", "os.fdopen(os.dup(1)"): "the output of this process",
     ("omniocc/run/fork_server.py", "os.fdopen(os.dup(1)"): "the output of this process",
     ("omniocc/run/fork_server.py", "os.open(request['log']"): "the output of a process",
