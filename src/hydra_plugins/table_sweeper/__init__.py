@@ -29,7 +29,8 @@ class TableSweeper(BasicSweeper):
             seeds = tables[0].get("seeds") if len(tables) == 1 else None
             if seeds and not any(other.get_key_element() == "seed" for other in others):
                 jobs = [[*job, f"seed={seed}"] for job in jobs for seed in seeds]
-            rows = {name: row for table in tables for name, row in overrides_of(table, self._options).items()}
+            options = self._options
+            rows = {name: row for table in tables for name, row in overrides_of(table, options).items()}
             jobs = [[*row, *job] for row in rows.values() for job in jobs]
         return [list(batch) for batch in self.split_overrides_to_chunks(jobs, max_batch_size)]
 
@@ -41,8 +42,7 @@ class TableSweeper(BasicSweeper):
 
     def _table(self, name: str) -> dict:
         assert self.hydra_context is not None
-        found = self.hydra_context.config_loader.get_sources()
-        for source in found:
+        for source in self.hydra_context.config_loader.get_sources():
             if source.is_config(f"{GROUP}/{name}.yaml"):
                 return OmegaConf.to_container(source.load_config(f"{GROUP}/{name}.yaml").config)  # type: ignore
         raise UserError(f"+{GROUP}={name}: there is no such table")

@@ -70,17 +70,14 @@ def offered(conf: Path = CONF) -> Offered:
             f"{conf} is missing, which says what a file of weights may name: use a clone of the repository, installed "
             "by 'make setup' or 'pip install --editable .'"
         )
-    found, read = Offered(defaultdict(set), {}), set[Path]()
-    for root, folder in GROUPS.items():
-        for path in sorted(set((conf / folder).rglob("*.yaml")) - read):
-            read.add(path)
-            if not path.read_text().startswith(GLOBAL):
-                slot = path.parent.relative_to(conf / folder).parts
-                _collect(read_yaml(path), ".".join((root, *slot)), found)
+    found = Offered(defaultdict(set), {})
     for path in sorted(conf.rglob("*.yaml")):
         if path.read_text().startswith(GLOBAL):
             for root, node in (read_yaml(path) or {}).items():
                 _collect(node, root, found)
+        elif root := next((root for root, folder in GROUPS.items() if path.is_relative_to(conf / folder)), None):
+            slot = path.parent.relative_to(conf / GROUPS[root]).parts
+            _collect(read_yaml(path), ".".join((root, *slot)), found)
     return found
 
 
