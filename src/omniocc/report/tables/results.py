@@ -40,12 +40,12 @@ VERBS = {
 }
 """Words for one claim and for several."""
 DIFFERENCES = (
-    "A re-implementation at small scale, on other data: a virtual world and not CARLA, an eighth of the paper's "
-    "voxels, and 2.8 epochs of the last stage instead of 40."
+    "A re-implementation at small scale. Its data are a virtual world, not CARLA. It has an eighth of the "
+    "paper's voxels and trains the occupancy stage for 2.8 epochs, not 40."
 )
 REMARKS = (
-    "Symbols: ✅ holds on both metrics, voxel RayIoU (`test/rayiou`, the paper's) and surface RayIoU "
-    "(`test/lidar/rayiou`, rays to the true surfaces); ☑ on the paper's metric only; ❌ refuted on the paper's metric "
+    "Metrics: voxel RayIoU (`test/rayiou`) is the paper's; surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
+    "surfaces. Symbols: ✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric "
     f"(opposite sign, or a gain of the paper's size excluded); ❓ undecided; {NOT_TESTED} not run or not tested.",
     "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
     "share networks of a seed are compared within seeds, so that a gap can differ from these scores in the last digit.",
