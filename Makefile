@@ -69,27 +69,13 @@ constraints: $(READY)  ## Write constraints.txt anew (UPGRADE=1: newest versions
 bench: $(READY)  ## Measure speed and memory (tests/bench)
 	@for script in tests/bench/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-comma := ,
-empty :=
-rows_paper = $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
-rows_of = $(addprefix $(1)/,$(basename $(notdir $(wildcard conf/ablation/$(1)/*.yaml))))
-rows_beyond = ours bevdet $(call rows_of,beyond)
-rows_rivals = ours beyond/extended bevdet bevformer voxformer $(call rows_of,rivals)
-rows_bets = beyond/extended tried/behind_08 tried/behind_16 ours dense cylinder cuboid rivals/fosocc rivals/oneocc $(addprefix bets/,$(basename $(notdir $(wildcard conf/ablation/bets/*.yaml))))
-rows_all = $(rows_paper) $(call rows_of,beyond)
-rows_tried = ours beyond/extended beyond/pixel_classes $(call rows_of,tried)
-rows_learning_rates = $(call rows_of,learning_rates)
-rows_equal = $(call rows_of,equal)
-rows_interval = $(call rows_of,interval)
-rows_reasons = $(call rows_of,reasons)
-TABLES ?= paper
-ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, bets, tried, learning_rates, equal, interval, reasons or all))))
+SWEEP ?= comparison,semantic_temporal,refine,sketch,representation
 SEEDS ?= 0
 JOBS ?= 2
 ARGS ?=
 
-ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|rivals|tried|learning_rates|equal|interval|reasons|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
-	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
+ablations: $(READY)  ## Train the rows of the paper's tables, then write them (SWEEP=rivals: of sweeps/rivals.yaml; SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value')
+	@$(BIN)/python src/train.py --multirun +sweep=$(SWEEP) seed=$(SEEDS) preset=$(PRESET) \
 	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; \
 	  $(BIN)/python src/report.py; [ $$code = 0 ] || echo "Not everything was trained: the reasons stand above the tables"; exit $$code
 

@@ -25,7 +25,8 @@ MAKE = {
     "make demo": ".venv/bin/python tools/demo.py tiny",
     "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal"
     " -m 'not whole_runs and not second_device and not faults and not cluster and not browser and not hostile'",
-    "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
+    "make ablations": ".venv/bin/python src/train.py --multirun"
+    " +sweep=comparison,semantic_temporal,refine,sketch,representation seed=0 preset=tiny",
     "make dashboard-local": ".venv/bin/python -m omniocc.report.wandb.local --runs runs",
     "make dashboard": ".venv/bin/python -m omniocc.report.wandb.dashboard --runs runs",
     "make wandb-sync": ".venv/bin/python -m omniocc.report.wandb.upload --runs runs",

@@ -13,42 +13,28 @@ from omniocc.io import YAML
 from omniocc.report import rows
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
+from omniocc.run.rows import TABLES, known_rows, table_files
 
 CONF = Path(__file__).parents[1] / "conf"
-FOLDER = CONF / "ablation"
-OPTIONS = {
-    path.relative_to(FOLDER).with_suffix("").as_posix(): yaml.safe_load(path.read_text())["name"]
-    for path in sorted(FOLDER.rglob("*.yaml"))
-}
-"""Name of every row, by its option."""
-OWN = [option for option in OPTIONS if not option.startswith("learning_rates")]
-"""Options of the rows with a configuration of their own; one of the tried rates is that of its system."""
+ROWS = known_rows(CONF, table_files(CONF / TABLES))
 MINE = {"name": "mine", "seed": 3, "paths.data": "elsewhere", "data.num_workers": 0, "test_images": 0}
 MINE |= {"logger.mode": "disabled"}
 """Keys and values of a run of one's own that do not change what it computes."""
 
 
-def overrides_of(option: str) -> tuple[str, str]:
-    """Return the words with which both tests compose a row, so that a process composes it once."""
-    return "preset=tiny", f"+ablation={option}"
-
-
-@pytest.mark.parametrize("option", OPTIONS)
-def test_a_row_passes_the_check_and_is_called_as_its_file(option, composed):
-    cfg = composed(*overrides_of(option))
+@pytest.mark.parametrize("row", ROWS)
+def test_a_row_passes_the_check_and_has_its_name(row, composed):
+    cfg = composed("preset=tiny", *ROWS[row])
     check_root(cfg)
-    folder, _, stem = option.rpartition("/")
     assert cfg.seed == 0, "a row leaves the seed to the command"
-    assert cfg.name == OPTIONS[option] == (f"tried_{stem}" if folder == "tried" else stem)
-    if folder:
-        assert f"+ablation={option}\n" in (FOLDER / f"{option}.yaml").read_text()
+    assert cfg.name == row
 
 
 def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row(monkeypatch, composed):
     """A run of a row has the values that the row is composed of, but for those of `MINE`."""
     tree = functools.cache(lambda *overrides: plain(composed(*overrides)))
     monkeypatch.setattr(rows, "compose_plain", lambda conf, name, overrides: tree(*overrides))
-    runs = [finished("mine", with_values(tree(*overrides_of(option)), MINE)) for option in OWN]
+    runs = [finished("mine", with_values(tree("preset=tiny", *words), MINE)) for words in ROWS.values()]
     others = [
         run_of("mine", "+ablation=wo_dilation", *(f"{key}={value}" for key, value in MINE.items())),
         run_of("deep", "preset.lifter.coloring.layers=2"),
@@ -58,9 +44,8 @@ def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row
         FinishedRun("nothing saved-0123abcd", {}, {}),
         run_of("lost", "preset.name=gone"),
     ]
-    found = [run.row for run in assign_rows([*runs, *others], CONF, ["ours", "of_a_table"])]
-    names = [OPTIONS[option] for option in OWN]
-    assert found == [*names, "wo_dilation", "deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
+    found = [run.row for run in assign_rows([*runs, *others], CONF, ["ours", "of_a_table"], ROWS)]
+    assert found == [*ROWS, "wo_dilation", "deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
 
 
 def run_of(name: str, *overrides: str) -> FinishedRun:

@@ -18,13 +18,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+from omniocc.run.rows import TABLES, known_rows
+
 ROOT = Path(__file__).parents[2]
-FOLDERS = (".", "beyond", "rivals", "bets")
-ROWS = sorted(
-    path.relative_to(ROOT / "conf" / "ablation").with_suffix("").as_posix()
-    for folder in FOLDERS
-    for path in (ROOT / "conf" / "ablation" / folder).glob("*.yaml")
-)
+CONF = ROOT / "conf"
+SHOWN = [CONF / TABLES / f"{table}.yaml" for table in ("beyond", "rivals", "bets")]
+ROWS = known_rows(CONF, SHOWN)
 
 
 def record(output: Path, rows: list[str]) -> None:
@@ -42,7 +41,7 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     command = [
         sys.executable,
         "src/train.py",
-        f"+ablation={row}",
+        *ROWS[row],
         "preset=smoke",
         "logger.mode=disabled",
         "test_images=0",
@@ -53,10 +52,9 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"{row} failed:\n{done.stdout}\n{done.stderr}")
-    name = Path(row).name
-    (metrics,) = (folder / "runs").glob(f"{name}-*/metrics.json")
+    (metrics,) = (folder / "runs").glob(f"{row}-*/metrics.json")
     figures = json.loads(metrics.read_text())["metrics"]
-    for curves in (folder / "runs").glob(f"{name}-*/csv/**/metrics.csv"):
+    for curves in (folder / "runs").glob(f"{row}-*/csv/**/metrics.csv"):
         figures |= losses(curves)
     return figures
 
@@ -88,7 +86,7 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     recording = commands.add_parser("record", help="train every row and write its figures")
     recording.add_argument("output", type=Path)
-    recording.add_argument("--rows", nargs="*", default=ROWS, help="rows of conf/ablation (default: all)")
+    recording.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS), help="default: all")
     comparing = commands.add_parser("compare", help="list every figure that differs")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)

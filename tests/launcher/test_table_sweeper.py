@@ -12,9 +12,10 @@ from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
 from omniocc.errors import UserError
-from omniocc.run.rows import options_of, overrides_of
+from omniocc.run.rows import jobs_of, known_rows, table_files
 
-CONF = Path(__file__).parents[2] / "conf"
+ROOT = Path(__file__).parents[2]
+CONF = ROOT / "conf"
 MINE = """
 title: Mine
 seeds: [3, 4]
@@ -50,13 +51,21 @@ def test_every_row_of_a_table_is_trained_with_every_choice():
     ]
 
 
+def test_the_tables_of_make_ablations_have_every_row_of_the_paper():
+    (tables,) = (
+        line.split("?=")[1].strip() for line in (ROOT / "Makefile").read_text().splitlines() if "SWEEP ?=" in line
+    )
+    assert sorted(jobs(f"+sweep={tables}")) == sorted(f"+ablation={path.stem}" for path in CONF.glob("ablation/*.yaml"))
+
+
 def test_a_row_of_two_tables_is_trained_once():
     rows = ["ours", "refine_attention", "wo_refine", "wo_dilation", "mono", "dense", "random"]
     assert jobs("+sweep=refine,sketch") == [f"+ablation={row}" for row in rows]
 
 
-def test_rows_in_folders_and_of_other_steps_are_found():
-    assert "+ablation=rivals/fosocc" in jobs("+sweep=rivals")
+def test_rows_of_other_tables_and_of_other_steps_are_found():
+    assert "model=fosocc name=fosocc" in jobs("+sweep=bets")
+    assert "model=fosocc name=fosocc_budget preset.stages.occupancy.max_steps=3100" in jobs("+sweep=rivals_budget")
     assert "+ablation=ours preset.stages.occupancy.max_steps=1000" in jobs("+sweep=rivals_budget")
     assert "+ablation=voxformer_pinhole" in jobs("+sweep=comparison"), "@same names no number of steps"
 
@@ -74,6 +83,14 @@ def test_a_table_of_ones_own_has_rows_overrides_and_seeds(tmp_path):
     assert jobs("+sweep=mine", "seed=0", folder=tmp_path) == [f"{row} seed=0" for row in rows]
 
 
+def test_a_row_of_a_table_can_be_chosen():
+    assert jobs("+sweep=rivals/fosocc,refine/ours,comparison/voxformer_pinhole") == [
+        "model=fosocc name=fosocc",
+        "+ablation=ours",
+        "+ablation=voxformer_pinhole",
+    ]
+
+
 def test_without_a_table_the_sweeper_is_that_of_hydra():
     assert jobs("model/sketch=mono,dense", "seed=1") == ["model/sketch=mono seed=1", "model/sketch=dense seed=1"]
 
@@ -81,12 +98,29 @@ def test_without_a_table_the_sweeper_is_that_of_hydra():
 def test_mistakes_are_named():
     with pytest.raises(UserError, match=r"\+sweep=refin: there is no such table"):
         jobs("+sweep=refin,sketch")
-    with pytest.raises(UserError, match="row gone has no overrides, and conf/ablation has no row of this name"):
-        overrides_of({"rows": {"gone": {"title": "a"}}}, options_of(CONF))
+    with pytest.raises(UserError, match=r"\+sweep=refine/mono: the table has no such row; it has ours, refine_att"):
+        jobs("+sweep=refine/mono")
+    with pytest.raises(UserError, match="row gone has no overrides, and neither conf/ablation nor another table has"):
+        jobs_of({"rows": {"gone": {"title": "a"}}}, {})
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("{extended: {overrides: [model=default]}}", "row extended has other overrides elsewhere"),
+        ("{ours: {overrides: [model=extended]}}", "row ours has other overrides elsewhere"),
+        ("[ours]", "rows has no mapping for every row"),
+        ("{ours: null}", "rows has no mapping for every row"),
+    ],
+)
+def test_a_table_that_contradicts_another_or_is_damaged_is_named(rows, message, tmp_path):
+    (tmp_path / "mine.yaml").write_text(f"rows: {rows}")
+    with pytest.raises(UserError, match=f"mine.yaml: {message}"):
+        known_rows(CONF, [*table_files(CONF / "sweep"), tmp_path / "mine.yaml"])
 
 
 @pytest.mark.parametrize("path", sorted((CONF / "sweep").glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_rows_of_every_table_can_be_trained(path):
     table = OmegaConf.to_container(OmegaConf.load(path))
     if "order_by" in table:
-        assert len(overrides_of(table, options_of(CONF))) == len(table["rows"])
+        assert len(jobs_of(table, known_rows(CONF, table_files(CONF / "sweep")))) == len(table["rows"])

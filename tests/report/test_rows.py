@@ -24,7 +24,7 @@ def test_a_row_that_cannot_be_composed_is_named(tmp_path):
     )
     demo = FinishedRun("demo-0123abcd", {}, {}, config={"preset": {"name": "smoke"}})
     with pytest.raises(ConfigError, match=r"\+ablation=broken"):
-        assign_rows([demo], tmp_path / "conf", ["broken"])
+        assign_rows([demo], tmp_path / "conf", ["broken"], {"broken": ["+ablation=broken"]})
 
 
 def train(folder: Path, run: Path, name: str, facts: dict) -> None:

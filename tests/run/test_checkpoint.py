@@ -57,7 +57,7 @@ def checked(path, config, packages=()):
     check_parts(path, load_checkpoint(write(path, config)).config, ["model"], packages)
 
 
-FOREIGN = {"model": {"head": {"_target_": "mylib.parts.Head"}}}
+FOREIGN = {"model": {"_target_": "omniocc.model.OccupancyModel", "head": {"_target_": "mylib.parts.Head"}}}
 
 
 def test_classes_of_another_package_are_one_line_that_says_how_to_allow_them(tmp_path):
@@ -107,7 +107,8 @@ def model(**parts):
         (model(sketch={**SKETCH, "names": {"a": {"b": FORK}}}), r"model.sketch.names.a.b names .* no class there"),
         (model(refiner={"_target_": "omniocc.model.lifter.Coloring"}), "model.refiner names"),
         ({"model": FORK}, r"model names .* conf offers omniocc.model.OccupancyModel there"),
-        ({"model": {"sketch": FORK}}, "model.sketch names"),
+        ({"model": {"sketch": SKETCH}}, "its configuration has no model to build"),
+        ({"model": [SKETCH]}, "its configuration has no model to build"),
         ({"model": "text"}, "its configuration has no model to build"),
         (model(sketch={**SKETCH, "_partial_": True}), "has the key model.sketch._partial_"),
         (model(sketch={**SKETCH, "_recursive_": False}), "has the key model.sketch._recursive_"),
@@ -156,8 +157,7 @@ CHOICES = [
     "model/backbone=transformers",
     "model/depth=mono optimizer=adamw loss=with_frustums",
     "data=occ3d_nuscenes data.source.root=x",
-    "+ablation=tried/hidden_less",
-    "+ablation=rivals/fosocc",
+    "model=fosocc",
 ]
 
 

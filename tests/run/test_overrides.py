@@ -38,16 +38,7 @@ def explained(*overrides: str) -> list[str]:
             "model/sketch=onmi: there is no such option; did you mean 'omni'?",
             "dense, mono, omni",
         ),
-        (
-            ["+ablation=rivals/fosoc"],
-            "ablation=rivals/fosoc: there is no such option; did you mean 'rivals/fosocc'?",
-            "options: rivals/adaptiveocc, rivals/flashocc",
-        ),
-        (
-            ["+ablation=fosocc"],
-            "ablation=fosocc: there is no such option; did you mean 'rivals/fosocc'?",
-            "options: bevdet, bevformer",
-        ),
+        (["+ablation=oours"], "ablation=oours: there is no such option; did you mean 'ours'?", "bevdet, bevformer"),
         (["preset=huge"], "preset=huge: there is no such option", "paper, small, smoke, tiny"),
         (["ablation=mono"], "ablation", "+ablation=mono"),
         (["seed=[1"], "seed=[1: this cannot be read as key=value", "key=[1,2]"),

@@ -8,7 +8,6 @@ from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.run_lengths import RunLengths
 from omniocc.loss.scal import Scal
-from omniocc.loss.seen_first import SeenFirst
 from omniocc.loss.semantics import Semantics
 from omniocc.loss.silog import SILog
 from omniocc.loss.total import Total
@@ -23,7 +22,6 @@ __all__ = [
     "RunLengths",
     "SILog",
     "Scal",
-    "SeenFirst",
     "Semantics",
     "Total",
 ]

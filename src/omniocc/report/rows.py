@@ -3,22 +3,20 @@
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+
+from omegaconf import OmegaConf
 
 from omniocc.config import compose_plain
 from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import given
-from omniocc.run.rows import FOLDER, options_of
+from omniocc.run.rows import FOLDER
 
 
 def assign_rows(
-    runs: Sequence[FinishedRun],
-    conf: Path,
-    rows: Sequence[str],
-    own: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str], known: Mapping[str, Sequence[str]]
 ) -> list[FinishedRun]:
     """Return the runs, each with its row.
 
@@ -27,24 +25,20 @@ def assign_rows(
 
     Args:
         runs: finished runs.
-        conf: folder of the configuration, with the rows in `ablation/`, those beyond the paper in its subfolders. A
-            row is called as its runs are, by its key `name`.
-        rows: names of the tables' rows; rows without a file in `conf` and overrides are found only by name.
-        own: overrides of rows that a table trains itself.
+        conf: folder of the configuration.
+        rows: names of the tables' rows, whose order decides; those that are not in `known` are found only by name.
+        known: overrides of rows, of `known_rows`.
 
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    options = options_of(conf)
-    overrides = {row: [f"+{FOLDER}={option}"] for row, option in options.items()} | dict(own)
-    named = {*rows, *overrides}
-    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in overrides]
-    files = {row: read_yaml(conf / FOLDER / f"{options[row]}.yaml") or {} for row in tried if row not in own}
-    stated = {row: _stated(files.get(row, {})) for row in tried}
+    named = {*rows, *known}
+    tried = [row for row in dict.fromkeys([*rows, *sorted(known)]) if row in known]
+    stated = {row: _stated(conf, known[row]) for row in tried}
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
-        return given(compose_plain(conf, "train", [f"preset={preset}", *overrides[row]]))
+        return given(compose_plain(conf, "train", [f"preset={preset}", *known[row]]))
 
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
@@ -69,7 +63,16 @@ def _preset(run: FinishedRun) -> str:
     return str(run.config.get("preset", {}).get("name"))
 
 
-def _stated(file: Mapping[str, Any]) -> dict[str, Any]:
-    """Return numbers and words that the file of a row states itself, by dotted key."""
-    plain = {key: value for key, value in given(file).items() if isinstance(value, bool | int | float | str)}
-    return {key: value for key, value in plain.items() if "${" not in str(value)}
+def _stated(conf: Path, words: Sequence[str]) -> dict[str, Any]:
+    """Return numbers and words that a row states itself, in its overrides or its file, by dotted key."""
+    stated: dict[str, Any] = {}
+    for key, _, value in (word.partition("=") for word in words):
+        if key == f"+{FOLDER}":
+            stated |= given(read_yaml(conf / FOLDER / f"{value}.yaml") or {})
+        elif "/" not in key and not (conf / key).is_dir():
+            stated |= given(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}={value}"])))  # type: ignore
+    return {
+        key: value
+        for key, value in stated.items()
+        if isinstance(value, bool | int | float | str) and "${" not in str(value)
+    }

@@ -5,7 +5,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from omniocc.config import own_folders
 from omniocc.report.dataset.table import (
     DatasetTable,
     facts_of_scenes,
@@ -15,7 +14,7 @@ from omniocc.report.dataset.table import (
     with_ours,
 )
 from omniocc.report.rows import assign_rows
-from omniocc.report.runs import HASH, FinishedRun, read_mapping, read_runs
+from omniocc.report.runs import HASH, FinishedRun, read_runs
 from omniocc.report.selection import (
     by_row,
     comparable,
@@ -30,7 +29,7 @@ from omniocc.report.tables.power import SeedStd, load_seed_stds
 from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
 from omniocc.run.robustness import Robustness, read_robustness
-from omniocc.run.rows import options_of, overrides_of
+from omniocc.run.rows import known_rows, table_files
 
 POWER = "power.yaml"
 """File of standard deviations between seeds, beside the tables."""
@@ -108,14 +107,10 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     Raises:
         UserError: when there is no run, none of that preset, or a table or row is broken.
     """
-    paths = [
-        path for folder in (tables, *(own / "sweep" for own in own_folders())) for path in sorted(folder.glob("*.yaml"))
-    ]
+    paths = table_files(tables)
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
-    options = options_of(conf)
-    trained = {row: words for path in paths if is_table(path) for row, words in own_overrides(path, options).items()}
-    finished = assign_rows(read_runs(runs), conf, first, trained)
+    finished = assign_rows(read_runs(runs), conf, first, known_rows(conf, paths))
     tests, begun = with_training(read_robustness(runs), finished), unfinished(runs)
     of_datasets = [load_dataset_table(path) for path in paths if is_dataset_table(path)]
 
@@ -151,13 +146,6 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         )
         for number, sweep in enumerate(sweeps)
     ]
-
-
-def own_overrides(path: Path, options: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return the overrides of the rows that a table trains itself; raise UserError naming the file that is wrong."""
-    table = read_mapping(path)
-    own = {key: row for key, row in table["rows"].items() if "overrides" in row}
-    return overrides_of({**table, "rows": own}, options)
 
 
 def _is_longer(other: Sweep, sweep: Sweep) -> bool:

@@ -143,10 +143,11 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
         UserError: when they name classes of other packages, or classes that are not offered at their place.
         ConfigError: when they do not fit this version.
     """
-    if wrong := [part for part in parts if not isinstance(config.get(part), DictConfig)]:
+    nodes = {part: config.get(part) for part in parts}
+    if wrong := [part for part, node in nodes.items() if not isinstance(node, DictConfig) or "_target_" not in node]:
         raise UserError(f"{path} is damaged or of another version: its configuration has no {wrong[0]} to build")
     trusted = allowed(OWN_PACKAGE, packages)
-    chosen = OmegaConf.create({part: config[part] for part in parts})
+    chosen = OmegaConf.create(nodes)
     tree = plain(chosen)
     if foreign := foreign_packages(tree, trusted):
         names = ",".join(foreign)

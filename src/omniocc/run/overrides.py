@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
 from itertools import accumulate
-from pathlib import Path
 from typing import cast
 
 import hydra
@@ -16,8 +15,6 @@ from omniocc.config import VERSION_BASE, refused_key
 
 NEAREST_KEYS = 3
 NEAR_ENOUGH = 0.6
-ROWS = "ablation"
-"""The group whose options lie in folders as well; folders of other groups are groups of their own."""
 
 
 def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
@@ -32,7 +29,7 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
         remedy = "quote lists, and texts with commas, spaces or other signs: 'key=[1,2]', 'key=\"a b\"'"
         return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        return _unknown_option(error.missing_cfg_file, error.options, conf)
+        return _unknown_option(error.missing_cfg_file, error.options)
     if isinstance(error, InstantiationException) and cause is not None:
         return f"{refused_key(error)}: {cause}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
@@ -41,20 +38,10 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
     return "\n  ".join([line.strip() for line in lines if line.strip()])
 
 
-def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
-    """Return the lines about a missing option such as 'model/sketch/onmi', given the options that Hydra lists.
-
-    Of an option in a folder of its group, such as ablation=rivals/fosoc, Hydra lists those of the group without
-    the folder; those in the folder are listed instead. Of a row without its folder, such as ablation=fosocc, the folder
-    is named.
-    """
+def _unknown_option(missing: str, options: Sequence[str]) -> str:
+    """Return the lines about a missing option such as 'model/sketch/onmi', given the options that Hydra lists."""
     group, _, option = missing.rpartition("/")
-    beside = {file.stem for file in Path(conf, group).glob("*.yaml")}
-    if not beside <= set(options):
-        group, _, folder = group.rpartition("/")
-        option, options = f"{folder}/{option}", [f"{folder}/{name}" for name in beside]
-    below = sorted(Path(conf, group).glob(f"*/{option}.yaml")) if group == ROWS else []
-    close = [f"{file.parent.name}/{file.stem}" for file in below] or get_close_matches(option, options, n=1)
+    close = get_close_matches(option, options, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(options))}"
 

@@ -107,8 +107,6 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
-    if bare := [key for key in (*PARTS, "data") if "_target_" not in cfg[key]]:
-        raise UserError(f"{path} is damaged or of another version: its configuration has no {bare[0]} to build")
     cfg.model = without_pretrained(cfg.model)
     data: OccupancyData = build(cfg.data)
     check_places(path, data.source, {key.partition("=")[0] for key in changes})
