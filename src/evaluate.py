@@ -30,7 +30,8 @@ from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns, takes_true_range
 from omniocc.progress import Progress
-from omniocc.report.tables.robustness import robustness_markdown, robustness_text
+from omniocc.report.tables.formats import parts_text
+from omniocc.report.tables.robustness import report_parts, robustness_csv, robustness_text
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
 from omniocc.run.robustness import FOLDER, Robustness, save_robustness
@@ -204,7 +205,8 @@ def score_robustness(
             refused.append(str(error))
             continue
         save_robustness(folder, record)
-        atomic_write(folder / "table.md", robustness_markdown([record]))
+        atomic_write(folder / "table.md", parts_text(report_parts([record])))
+        atomic_write(folder / "table.csv", robustness_csv([record], {}))
         log_robustness(logger.build(folder, task.config, "robustness"), record, draw([record], folder))
         records.append(record)
         print(f"table     {folder / 'table.md'}", flush=True)

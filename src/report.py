@@ -16,19 +16,20 @@ from pathlib import Path
 
 from omniocc.errors import installing
 from omniocc.io import atomic_write
-from omniocc.report.chapters import CURVES_IMAGE, report_markdown, write_docs, write_results_into, write_tables
-from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
+from omniocc.progress import Progress
+from omniocc.report.chapters import report_markdown, write_tables
+from omniocc.report.dataset.table import dataset_part, load_dataset_table, with_folders
+from omniocc.report.docs import CURVES_IMAGE, write_docs, write_results_into
 from omniocc.report.frames import compared_frames
 from omniocc.report.keep import keep_records
 from omniocc.report.page import page
-from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps
 from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
 from omniocc.report.tables.compare import comparison_text
-from omniocc.report.tables.power import power_chapter, seed_std_of
+from omniocc.report.tables.formats import parts_text
+from omniocc.report.tables.paper import method_names
 from omniocc.report.tables.summary import first_lines, summary
-from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
@@ -36,7 +37,6 @@ SETTINGS = 4
 """Most settings besides the first whose pages are named without --all."""
 NO_MATPLOTLIB = f"matplotlib is missing: {installing('plot')}"
 ROOT = Path(__file__).parents[1]
-GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -50,11 +50,8 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     where = "folder of the report (default: report in the folder of runs)"
     found.add_argument("--output", type=Path, metavar="FOLDER", help=where)
-    docs = "write the tables as Markdown pages too, into this folder; with docs/results also the results in README.md"
+    docs = "write pages and CSV of all results too, into this folder; with docs/results also the results in README.md"
     found.add_argument("--docs", type=Path, metavar="FOLDER", help=docs)
-    tried = "only write one table of all runs, of any setting, on validation scenes"
-    found.add_argument("--tried", type=Path, metavar="FILE", help=tried)
-    found.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
     kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
     found.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
     compared = "only compare the first of these rows with each other one, such as my_refiner omnidepth_occ"
@@ -62,11 +59,6 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--all", action="store_true", help="print every table, which report.md has, not a summary")
     recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
     found.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
-    seeds = (
-        "only print how many seeds the paper's gaps need, at two standard deviations between seeds, of parts and of "
-    )
-    seeds += "systems, such as 0.004 0.01 (default: those of sweeps/power.yaml), and at those of the runs"
-    found.add_argument("--power", type=float, metavar="STD", nargs="*", help=seeds)
     return found
 
 
@@ -75,21 +67,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Read the files of the runs, print the tables and write everything."""
     options = parser().parse_args(arguments)
     if options.datasets is not None:
-        print(dataset_markdown(with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets)))
+        table = with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets)
+        print(parts_text([dataset_part(table)]))
         return
     if options.keep is not None:
         print(f"{len(keep_records(options.runs, options.keep))} runs kept in {options.keep}")
         return
-    if options.tried is not None:
-        write_tried(options.runs, options.tried, options.reference)
-        return
     sweeps = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
     if options.compare is not None:
         print(comparison_text(sweeps, options.compare))
-        return
-    if options.power is not None:
-        given = [seed_std_of(options.power)] if options.power else sweeps[0].seed_stds
-        print(power_chapter(sweeps[0].tables, sweeps[0].table_rows, given))
         return
     if options.docs is not None:
         write_docs(sweeps, options.docs)
@@ -100,8 +86,9 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def draw_curves(sweep: Sweep, folder: Path) -> None:
-    """Draw the image of the page on more steps into a folder of documentation, if there are such runs."""
-    rows = training.runs_by_row(sweep)
+    """Draw the learning curves into a folder of documentation, if rows have run with several numbers of steps."""
+    names = method_names(sweep.tables)
+    rows = {names.get(row, row): runs for row, runs in training.runs_by_row(sweep).items()}
     if not rows:
         return
     if find_spec("matplotlib") is None:
@@ -121,24 +108,19 @@ def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
     pages = {setting: folder / "index.html" for setting, folder in folders.items()}
     if find_spec("matplotlib") is None:
         print(f"No plots: {NO_MATPLOTLIB}")
-    for sweep in sweeps:
-        folder = folders[sweep.setting]
-        write_tables(sweep, folder)
-        links = {setting: path for setting, path in pages.items() if setting != sweep.setting}
-        plots, frames = draw(sweep, folder), compared_frames(sweep.rows)
-        atomic_write(folder / "index.html", page(sweep, plots, frames, folder, links))
+    with Progress("drawing", len(sweeps), unit="settings") as progress:
+        for sweep in sweeps:
+            folder = folders[sweep.setting]
+            write_tables(sweep, folder)
+            links = {setting: path for setting, path in pages.items() if setting != sweep.setting}
+            plots, frames = draw(sweep, folder), compared_frames(sweep.rows)
+            atomic_write(folder / "index.html", page(sweep, plots, frames, folder, links))
+            progress.advance()
     links = [f"setting {setting}: {path}" for setting, path in list(pages.items())[1:]]
     print(report_markdown(first) if whole else f"{summary(first)}\n")
     for link in links if whole else first_lines(links, SETTINGS, "settings"):
         print(link)
     print(f"tables  {output / 'report.md'}{'' if whole else ' (--all prints them)'}\npage    {output / 'index.html'}")
-
-
-def write_tried(folder: Path, path: Path, reference: str) -> None:
-    """Write what was tried as a page of the documentation, with the command that writes it."""
-    text = f"{GENERATED_TRIED}\n\n{tried_chapter(read_runs(folder), reference).removeprefix('#')}"
-    atomic_write(path, text)
-    print(f"{text}\npage    {path}")
 
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:

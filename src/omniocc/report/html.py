@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omniocc.run.table import number
+from omniocc.run.table import number, text_columns
 from omniocc.view.canvas import PNG_OPTIONS, encoded
 
 ENVIRONMENT = Environment(
@@ -17,7 +17,7 @@ ENVIRONMENT = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-ENVIRONMENT.filters["number"] = number
+ENVIRONMENT.filters |= {"number": number, "text_columns": text_columns}
 ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # keeps the order of keys
 
 

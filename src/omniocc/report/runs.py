@@ -4,7 +4,6 @@ import colorsys
 import math
 import os
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +13,7 @@ from urllib.parse import quote
 from omniocc.config import GROUPS, fits
 from omniocc.errors import UserError
 from omniocc.io import checked_name, parse_yaml, read_short_text
+from omniocc.progress import Progress
 from omniocc.run.folder import METRICS, command_of
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
@@ -75,12 +75,14 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     Raises:
         UserError: when there is none.
     """
-    runs = []
-    for path in sorted(folder.glob(f"*/{METRICS}")):
-        try:
-            runs.append(_read(path.parent))
-        except (UserError, OSError) as error:
-            print(f"left out: {error}", file=sys.stderr, flush=True)
+    runs, paths = [], sorted(folder.glob(f"*/{METRICS}"))
+    with Progress("reading runs", len(paths), unit="runs") as progress:
+        for path in paths:
+            try:
+                runs.append(_read(path.parent))
+            except (UserError, OSError) as error:
+                progress.message(f"left out: {error}")
+            progress.advance()
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
     return sorted(runs, key=lambda run: -run.metrics[RAY_IOU])

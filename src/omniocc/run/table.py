@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 Cells = tuple[list[str], list[list[str]]]
@@ -13,21 +13,25 @@ LEFT_OUT = "test/lidar/left_out"
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
 NOT_RECORDED: Mapping[str, str] = MappingProxyType({})
-SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "RayIoU, LiDAR", "voxel": "IoU, mIoU"}
+SCORES = {"rayiou": "voxel RayIoU", "lidar/rayiou": "surface RayIoU", "voxel": "IoU, mIoU"}
 """Titles of the kinds of scores whose protocol is recorded, by the beginning of their keys."""
 ORIGINS = {"past": "past frames", "now": "the frame itself", "future": "future frames"}
 """Titles of the origins of rays that are scored apart, by the end of their keys."""
 
-ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (true voxels)"}
+ROWS = {"test": "model", "prior": "baseline", "label": "upper bound"}
+"""Titles of what is scored, by the beginning of the keys."""
 EXPLANATION = (
-    "RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' "
-    "compares the same voxels with true LiDAR rays. prior: the most frequent training class of every voxel. label: the "
-    "true voxels themselves, so its LiDAR column shows what the cells of the grid lose."
+    "Voxel RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m). "
+    "Surface RayIoU compares rays through the predicted voxels with the true surfaces. Baseline: the most frequent "
+    "training class of every voxel. Upper bound: the true voxels, scored as if predicted; its surface RayIoU shows "
+    "what the cells of the grid lose."
 )
+FIGURE = re.compile(r"[–=]|(?=.*\d)(?:[\s\d.,/()<>%+±*✅☑❌❓–=-]|and|[kM]$)+")
+"""What a cell of a column of figures is."""
 
 
 def summary(metrics: Mapping[str, float]) -> Cells:
-    """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
+    """Return head and rows of the overview: RayIoU, by distance and of surfaces, voxel IoU and mIoU."""
     return compared({label: (metrics, row) for row, label in ROWS.items()})
 
 
@@ -36,7 +40,7 @@ def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
     first = next(iter(rows.values()))[0]
     columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]
     titles = [title for title, _ in _bands(first, "test/rayiou_")[1:]]
-    head = ["", "RayIoU", *titles, "RayIoU, LiDAR", "IoU", "mIoU"]
+    head = ["scored", SCORES["rayiou"], *titles, SCORES["lidar/rayiou"], "IoU", "mIoU"]
     return head, [
         [label, *(number(metrics.get(f"{prefix}/{column}")) for column in columns)]
         for label, (metrics, prefix) in rows.items()
@@ -60,14 +64,9 @@ def band_names(metrics: Mapping[str, float]) -> list[str]:
 
 
 def per_class(metrics: Mapping[str, float]) -> Cells:
-    """Return head and rows of RayIoU by class: model and baseline, and both with the true voxels on LiDAR rays."""
-    columns = [
-        ("model", "test/rayiou"),
-        ("prior", "prior/rayiou"),
-        ("model, LiDAR", "test/lidar/rayiou"),
-        ("prior, LiDAR", "prior/lidar/rayiou"),
-        ("label, LiDAR", "label/lidar/rayiou"),
-    ]
+    """Return head and rows of RayIoU by class: model and baseline, and both with the upper bound on surfaces."""
+    kinds = [("test", "rayiou"), ("prior", "rayiou"), *((row, "lidar/rayiou") for row in ROWS)]
+    columns = [(f"{ROWS[row]}, {SCORES[kind]}", f"{row}/{kind}") for row, kind in kinds]
     rows = [[name, *(number(metrics.get(f"{key}/{name}")) for _, key in columns)] for name in class_names(metrics)]
     return ["class", *(title for title, _ in columns)], rows
 
@@ -77,15 +76,18 @@ def number(value: float | None) -> str:
     return "–" if value is None or math.isnan(value) else f"{value:.3f}"
 
 
-def markdown(head: list[str], rows: list[list[str]], text: Collection[str] = ()) -> str:
-    """Return a Markdown table. A cell stays one cell and one line.
-
-    The first column and those whose title is in `text` are text, to the left; the others are figures.
-    """
-    left = [place == 0 or title in text for place, title in enumerate(head)]
+def markdown(head: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table. A cell stays one cell and one line; columns of figures stand to the right."""
+    left = text_columns(rows) or [True] * len(head)
     head, *rows = [[" ".join(cell.replace("|", r"\|").splitlines()) for cell in line] for line in (head, *rows)]
     lines = [head, ["---" if is_text else "---:" for is_text in left], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def text_columns(rows: list[list[str]]) -> list[bool]:
+    """Return for each column of a table whether it is text, as the first is, or figures."""
+    columns = zip(*rows, strict=True)
+    return [place == 0 or not all(map(FIGURE.fullmatch, column)) for place, column in enumerate(columns)]
 
 
 DEPTH_COLUMNS = {
@@ -112,6 +114,11 @@ def by_origin(metrics: Mapping[str, float]) -> Cells:
     return ["RayIoU from", *ROWS.values()], rows
 
 
+def titled(text: str) -> str:
+    """Return a text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
 def score_of(key: str) -> str | None:
     """Return the kind of score, of `SCORES`, of a figure; None for other figures."""
     name = key.partition("/")[2].replace("fine/", "")  # of the same rays
@@ -120,7 +127,7 @@ def score_of(key: str) -> str | None:
 
 def protocol_lines(protocol: Mapping[str, str], metrics: Mapping[str, float]) -> list[str]:
     """Return how each kind of score was counted, in one line each; then which fraction of the LiDAR's rays was not."""
-    lines = [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
+    lines = [f"{titled(SCORES[kind])}: {protocol[kind]}." for kind in SCORES if kind in protocol]
     if not math.isnan(metrics.get(LEFT_OUT, math.nan)):
         all_of_them, unknown, free = (100 * metrics[f"{LEFT_OUT}{part}"] for part in ("", "_unknown", "_free"))
         lines.append(f"LiDAR rays that do not count: {all_of_them:.1f} % ({unknown:.1f} % unknown, {free:.1f} % free).")

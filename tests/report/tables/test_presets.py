@@ -1,5 +1,6 @@
-from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.presets import presets_chapter
+
+from omniocc.report.runs import FinishedRun
 
 
 def run(name: str, rayiou: float, stages: dict[str, int], earlier: float) -> FinishedRun:

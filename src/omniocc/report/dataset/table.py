@@ -5,6 +5,8 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from omniocc.camera import Pinhole, Rig
+from omniocc.camera.drawn import RANDOM
 from omniocc.data import VirtualWorld
 from omniocc.data.source import SPLITS
 from omniocc.data.store.files import is_url, list_folders
@@ -13,10 +15,14 @@ from omniocc.data.store.shard import META, digest
 from omniocc.errors import UserError
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun, read_mapping
-from omniocc.report.tables.formats import csv_text, tabular
-from omniocc.run.table import Cells, markdown
+from omniocc.report.tables.formats import Part, csv_text, tabular
+from omniocc.report.tables.paper import NUMERALS
+from omniocc.run.table import Cells
 
 Row = tuple[str, Sequence[bool | int]]
+PAPER = "(paper)"
+"""End of the names of rows that are the paper's."""
+VIRTUAL_WORLD = "omniocc.data.VirtualWorld"
 
 
 class DatasetTable(NamedTuple):
@@ -24,9 +30,10 @@ class DatasetTable(NamedTuple):
 
     Attributes:
         name: name of the file.
-        note: number in the paper, and inconsistencies of its figures.
+        note: inconsistencies of the paper's figures.
         columns: title of each column, by key.
         rows: name and cells of each dataset; no cells where they are unknown.
+        number: the table's number in the paper.
     """
 
     name: str
@@ -34,6 +41,12 @@ class DatasetTable(NamedTuple):
     note: str
     columns: Mapping[str, str]
     rows: Sequence[Row]
+    number: int = 0
+
+    @property
+    def heading(self) -> str:
+        """Return the title, behind the number that it has in the paper."""
+        return f"Table {NUMERALS[self.number]}: {self.title}" if self.number else self.title
 
 
 def is_dataset_table(path: Path) -> bool:
@@ -50,8 +63,8 @@ def load_dataset_table(path: Path) -> DatasetTable:
     content = read_mapping(path)
     try:
         columns = content["columns"]
-        rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
-        table = DatasetTable(path.stem, content["title"], content["note"], columns, rows)
+        rows = [(f"{row['title']} {PAPER}", row["paper"]) for row in content["rows"].values()]
+        table = DatasetTable(path.stem, content["title"], content["note"], columns, rows, content.get("number", 0))
     except (AttributeError, KeyError, TypeError) as error:
         raise UserError(f"{path} is not a table of datasets: {error}; see sweeps/dataset.yaml") from error
     for key, (_, cells) in zip(content["rows"], rows, strict=True):
@@ -66,6 +79,24 @@ def with_ours(table: DatasetTable, scenes: Sequence[SceneReader]) -> DatasetTabl
         return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
     name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])
     return table._replace(rows=[*table.rows, (f"{name} (here)", cells)])
+
+
+def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
+    """Return the paper's rows, and ours as the configurations of runs describe it, without its files.
+
+    It has the frames of the first run, and the cameras of all runs. In the virtual world every pixel has class and
+    range, and points from which any grid is filled.
+    """
+    rows = [row for row in table.rows if row[0].endswith(PAPER)]
+    sources = [run.config.get("data", {}).get("source", {}) for run in runs]
+    virtual = [source for source in sources if source.get("_target_") == VIRTUAL_WORLD]
+    if not virtual or virtual[0] is not sources[0]:
+        return table._replace(rows=rows)
+    rigs = [Rig.load(name) for name in dict.fromkeys(source["rig"] for source in virtual) if name != RANDOM]
+    pinhole = {isinstance(camera, Pinhole) for rig in rigs for camera in rig.cameras}
+    frames = sum(virtual[0][f"{split}_scenes"] for split in SPLITS) * virtual[0]["frames_per_scene"]
+    cells = [True in pinhole, False in pinhole, True, True, True, frames]
+    return table._replace(rows=[*rows, ("OmniDepth-Occ (here)", cells)])
 
 
 def with_folders(table: DatasetTable, folders: Sequence[Path]) -> DatasetTable:
@@ -89,7 +120,7 @@ def scenes_of(run: FinishedRun) -> list[SceneReader]:
     described: dict[str, Any] = run.config.get("data", {}).get("source", {})
     choices = {key: value for key, value in described.items() if key != "_target_"}
     known = set(choices) <= set(signature(VirtualWorld).parameters)  # false for runs of another version
-    if described.get("_target_") != "omniocc.data.VirtualWorld" or not known or is_url(choices["root"]):
+    if described.get("_target_") != VIRTUAL_WORLD or not known or is_url(choices["root"]):
         return []
     world = VirtualWorld(**choices)
     plans = [list(plan) for plan in world.plans]
@@ -125,15 +156,18 @@ def _cell(cells: Sequence[bool | int], column: int) -> str:
     return ("✓" if value else "–") if isinstance(value, bool) else f"{value:,}"
 
 
-def dataset_markdown(table: DatasetTable) -> str:
-    """Return the table in Markdown, with its title and note."""
-    return f"## {table.title}\n\n{table.note}\n\n{markdown(*dataset_cells(table))}"
+def dataset_part(table: DatasetTable) -> Part:
+    """Return the table with its note."""
+    return Part(table.name, table.heading, table.note, dataset_cells(table))
 
 
 def dataset_csv(table: DatasetTable) -> str:
     """Return CSV with a line per dataset."""
-    rows = ([name, *(cells or [""] * len(table.columns))] for name, cells in table.rows)
-    return csv_text(["dataset", *table.columns], rows)
+    rows = [
+        [name, *(("no", "yes")[cell] if isinstance(cell, bool) else cell for cell in cells)]
+        for name, cells in table.rows
+    ]
+    return csv_text(["dataset", *table.columns.values()], rows)
 
 
 def dataset_latex(table: DatasetTable) -> str:

@@ -1,4 +1,4 @@
-"""Plots of a sweep: one colour per row, means over seeds with one standard deviation.
+"""Plots of a sweep: one colour per row, means over seeds with their standard error.
 
 Every function takes the runs of each row, in the order in which rows are drawn, and returns None when there is nothing
 to draw. matplotlib is the extra `plot`.
@@ -56,7 +56,7 @@ def colors_of(rows: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
 
 @rc_context(STYLE)
 def ranking(rows: Rows) -> Canvas | None:
-    """Draw RayIoU of each row, best on top; a diamond is the score against LiDAR rays, dots are single seeds."""
+    """Draw RayIoU of each row, best on top; a diamond is surface RayIoU, dots are single seeds."""
     figures = {row: figure for row, runs in rows.items() if (figure := figure_of(runs, "test/rayiou"))}
     if not figures:
         return None
@@ -74,7 +74,7 @@ def ranking(rows: Rows) -> Canvas | None:
         axes.annotate(label, (max(seeds), place), (6, 0), textcoords="offset points", va="center", fontsize=9)
     axes.grid(axis="y", visible=False)
     axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
-    axes.set_xlabel("RayIoU (dots: seeds; diamond: LiDAR rays)")
+    axes.set_xlabel("voxel RayIoU (dots: seeds; diamond: surface RayIoU)")
     axes.tick_params(axis="y", length=0)
     return canvas
 
@@ -105,7 +105,7 @@ def by_candidates(rows: Rows) -> Canvas | None:
     axes = canvas.subplots()
     for row, (fraction, score) in points.items():
         if fraction and score:
-            xerr, yerr = (0.0 if math.isnan(figure.std) else figure.std for figure in (fraction, score))
+            xerr, yerr = (0.0 if math.isnan(figure.error) else figure.error for figure in (fraction, score))
             label = f"{row} ({100 * fraction.mean:.0f} %, {score.mean:.3f})"
             axes.errorbar(fraction.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
             axes.plot(fraction.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
@@ -179,7 +179,7 @@ def _bars(rows: Rows, panels: Sequence[Mapping[str, str]], height_inch: float, h
         _grouped(axes, rows, keys)
         axes.set_ylabel("RayIoU")
     several = any(len(runs) > 1 for runs in rows.values())
-    drawn[-1].set_xlabel(horizontal + " (whiskers: one standard deviation over seeds)" * several)
+    drawn[-1].set_xlabel(horizontal + " (whiskers: standard error over seeds)" * several)
     _legend(canvas, drawn[0], rows)
     return canvas
 
@@ -190,7 +190,7 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
         places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]
         figures = [figure_of(runs, key) for key in keys.values()]
         means = [figure.mean if figure else math.nan for figure in figures]
-        whiskers = [figure.std if figure and not math.isnan(figure.std) else 0.0 for figure in figures]
+        whiskers = [figure.error if figure and not math.isnan(figure.error) else 0.0 for figure in figures]
         axes.bar(places, means, width * 0.92, color=colors[row], label=row)
         if any(whiskers):
             axes.errorbar(places, means, whiskers, fmt="none", **WHISKER)

@@ -3,19 +3,18 @@
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun, grid_name
-from omniocc.run.table import Cells, number
+from omniocc.run.table import ROWS, SCORES, Cells, number, titled
 
-TITLE = "Baseline and true voxels"
+TITLE = "Baseline and upper bound"
 NOTE = (
-    "prior, the baseline: the most frequent training class of every voxel, which needs no image. label: the true "
-    "voxels, scored as if predicted; against LiDAR rays they show what the cells of the grid lose. A prediction can "
-    "score a little more in a class, since the class with the most points in a cell is not what every ray meets there."
+    "Baseline: the most frequent training class of every voxel, which needs no image. Upper bound: the true voxels, "
+    "scored as if predicted. Its surface RayIoU shows what the cells of the grid lose. A prediction can score a little "
+    "more in a class, since the class with the most points in a cell is not what every ray meets there."
 )
 COLUMNS = {
-    "prior: RayIoU": "prior/rayiou",
-    "prior: LiDAR": "prior/lidar/rayiou",
-    "label: RayIoU": "label/rayiou",
-    "label: LiDAR": "label/lidar/rayiou",
+    f"{titled(ROWS[row])}, {SCORES[kind]}": f"{row}/{kind}"
+    for row in ("prior", "label")
+    for kind in ("rayiou", "lidar/rayiou")
 }
 
 
@@ -23,4 +22,4 @@ def bounds_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> Cells:
     """Return the head and a line for each grid, with RayIoU of the baseline and of the true voxels."""
     grids = {grid_name(run.config): run for runs in rows.values() for run in runs[:1]}
     lines = [[grid, *(number(run.metrics.get(key)) for key in COLUMNS.values())] for grid, run in grids.items()]
-    return ["grid", *COLUMNS], lines
+    return ["Grid", *COLUMNS], lines

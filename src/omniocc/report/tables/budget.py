@@ -9,15 +9,17 @@ from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
 from omniocc.run.table import Cells
 
+Rows = Mapping[str, Sequence[FinishedRun]]
 STAGES = ("depth", "sketch", "occupancy")
-HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "in all"]
-HEAD += ["samples a step", "minutes", "in all", "peak MiB"]
+HEAD = ["Method", "M parameters", "GFLOP a frame", "Steps of depth", "Steps of sketch", "Steps of occupancy"]
+HEAD += ["Steps in all", "Samples a step", "Minutes of occupancy", "Minutes in all", "Peak MiB"]
+TITLE = "Budget"
 NOTE = (
-    "Each row is one model. Some models have a network that estimates depth and one that estimates which voxels are "
+    "Some models have a network that estimates depth and one that estimates which voxels are "
     "occupied (the sketch); both are trained before the main network, which gives every voxel its class. Parameters "
-    "and operations are the sum over all networks of the model. 'minutes' and 'peak MiB' are of training the main "
-    "network alone; the 'in all' beside 'minutes' adds the training of depth and sketch, also where several models "
-    "use the same trained ones. Minutes are means over seeds."
+    "and operations are the sum over all networks of the model. Memory is that of training the main network alone. "
+    "Minutes in all add the training of depth and sketch, also where several models use the same trained ones. "
+    "Minutes are means over seeds."
 )
 OF_MANY = " Compare operations rather than minutes or MiB, which depend on the machine."
 
@@ -32,12 +34,19 @@ def note(rows: Mapping[str, Sequence[FinishedRun]]) -> str:
     return f"{NOTE} Machines: {counts}.{OF_MANY * (len(machines) > 1)}"
 
 
-def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> Cells:
-    """Return the head and a line for each row; a dash where its runs have no record.
+def budget_cells(rows: Mapping[str, Sequence[FinishedRun]], names: Mapping[str, str]) -> Cells:
+    """Return the head and a line for each row, by its name for readers; a dash where its runs have no record.
 
     Minutes are means over seeds, parameters, operations and memory maxima.
     """
-    return HEAD, [[row, *_budget(runs)] for row, runs in rows.items()]
+    return HEAD, [[named(row, names), *_budget(runs)] for row, runs in rows.items()]
+
+
+def named(row: str, names: Mapping[str, str]) -> str:
+    """Return the name of a row for readers, with its steps where the row has them (`ours@1000`)."""
+    plain, at, steps = row.partition("@")
+    name = names.get(plain, plain)
+    return f"{name.removesuffix(f' ({plain})')}, {int(steps):,} steps" if at else name
 
 
 def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:

@@ -12,15 +12,14 @@ from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.protocol import counted_alike
 from omniocc.report.tables.streets import error_over_streets
-from omniocc.run.table import Cells
+from omniocc.run.table import SCORES
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05
 """Largest probability in a family of a wrong 'holds' or 'opposite sign', and of a wrong 'smaller'."""
-JUDGES = {"own voxels": "test/", "LiDAR rays": "test/lidar/"}
-"""Beginning of the keys of each judge's scores."""
-HEAD = ["claim", "paper", "judge", "in proportion", "here ± over seeds", "± over streets", "no gap: p (Holm)"]
-HEAD += ["paper's gap: p (Holm)", "verdict"]
+VOXEL, SURFACE = SCORES["rayiou"], SCORES["lidar/rayiou"]
+JUDGES = {VOXEL: "test/", SURFACE: "test/lidar/"}
+"""Beginning of the keys of the scores of each of the two metrics."""
 HOLDS, AGAINST, UNDECIDED = "holds", "does not hold", "undecided"
 
 Name = tuple[tuple[str, ...], tuple[str, ...], str]
@@ -28,7 +27,7 @@ Name = tuple[tuple[str, ...], tuple[str, ...], str]
 
 
 class Claim(NamedTuple):
-    """A gap of the paper, and the same here by one judge.
+    """A gap of the paper, and the same here in one metric.
 
     Attributes:
         paper: the printed gap, above 0; nan in a claim of one's own, about a row without a printed figure.
@@ -54,7 +53,7 @@ class Claim(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A claim, and both of its p-values adjusted by Holm over the family of one judge."""
+    """A claim, and both of its p-values adjusted by Holm over the family of one metric."""
 
     claim: Claim
     none: float
@@ -77,16 +76,18 @@ class Judged(NamedTuple):
 
 
 def metric_of(table: PaperTable, judge: str) -> str | None:
-    """Return the key of a judge's scores in which the claims of a table are decided; None if it has none."""
-    if judge == "own voxels":
+    """Return the key of a metric's scores in which the claims of a table are decided; None if it has none."""
+    if judge == VOXEL:
         return table.order_by
     return table.order_by.replace("test/", JUDGES[judge], 1) if table.order_by.startswith("test/rayiou") else None
 
 
 def title_of(table: PaperTable, better: PaperRow, other: PaperRow) -> str:
-    """Return a claim in words, with the band of distance where the table is about one."""
+    """Return a claim in the words of its table, or else with both methods, and the band of distance if it has one."""
+    if other.claim and (better.run, other.run) not in table.claims:
+        return other.claim
     band = "" if table.order_by == RAY_IOU else f", {table.columns[table.order_by]}"
-    return better.ahead_of(other) + band
+    return f"{better.title} ahead of {other.title}{band}"
 
 
 def pairs_of(table: PaperTable) -> Iterator[tuple[PaperRow, PaperRow]]:
@@ -121,7 +122,7 @@ def rows_of_claims(tables: Sequence[PaperTable], rows: Rows, share_stages: bool)
 
 
 def planned_claims(tables: Sequence[PaperTable], judge: str) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
-    """Return the claims that a judge decides, each once, in its first table, whether its rows have run or not."""
+    """Return the claims that a metric decides, each once, in its first table, whether its rows have run or not."""
     names, found = names_in(tables), {}
     for table, better, other in claims_in(tables):
         if (key := metric_of(table, judge)) is not None:
@@ -211,9 +212,9 @@ def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
 
 
 def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> dict[Name, Judged]:
-    """Return all claims of all judges with their adjusted p-values; `paired` as in `claims_of`.
+    """Return all claims by both metrics with their adjusted p-values; `paired` as in `claims_of`.
 
-    The family of a judge has every claim of the tables once, though it may stand in several, and also those whose rows
+    The family of a metric has every claim of the tables once, though it may stand in several, and also those whose rows
     have not run yet, which count as not rejected.
     """
     found: dict[Name, Judged] = {}
@@ -235,41 +236,9 @@ def _adjusted(p_values: Mapping[Name, float], tests: int) -> dict[Name, float]:
     return dict(zip(known, holm(list(known.values()), tests), strict=True))
 
 
-def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
-    """Return head and lines of a table of claims, a line for each claim and judge; `decided` has all claims."""
-    lines = []
-    for better, other in pairs_of(table):
-        for judge in JUDGES:
-            name = name_of(better, other, rows, metric_of(table, judge))
-            if name is not None:
-                lines.append([better.ahead_of(other), *line_of(decided[name], judge)])
-    return HEAD, lines
-
-
-def line_of(found: Judged, judge: str) -> list[str]:
-    """Return the cells of a judged claim behind its title."""
-    claim = found.claim
-    tests = [p_cell(claim.gap.p_none, found.none), p_cell(claim.p_size, found.size)]
-    sizes = signed(claim.size), claim.gap.written, streets_cell(claim)
-    return [signed(claim.paper), judge, *sizes, *tests, found.verdict]
-
-
 def signed(gap: float) -> str:
     """Return a gap for a table; a dash where there is none."""
     return "–" if math.isnan(gap) else f"{gap:+.3f}"
-
-
-def both_errors(claim: Claim) -> str:
-    """Return a gap with its standard error over seeds, then over streets; the last is left out where it is unknown."""
-    if math.isnan(claim.streets):
-        return claim.gap.written
-    seeds = " ± –" if math.isnan(claim.gap.error) else ""
-    return f"{claim.gap.written}{seeds} {streets_cell(claim)}"
-
-
-def streets_cell(claim: Claim) -> str:
-    """Return the standard error of a claim's gap over streets for a table."""
-    return "–" if math.isnan(claim.streets) else f"± {claim.streets:.3f}"
 
 
 def p_cell(p_value: float, adjusted: float) -> str:

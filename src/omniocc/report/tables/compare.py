@@ -12,16 +12,13 @@ from omniocc.report.runs import FinishedRun, grid_name
 from omniocc.report.selection import mixtures
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.budget import steps_of_stages
-from omniocc.report.tables.claims import LEVEL, p_cell, p_text
+from omniocc.report.tables.claims import JUDGES, LEVEL, p_cell, p_text
 from omniocc.report.tables.gaps import RANGE_ERROR, UNKNOWN, Gap, gap_of_systems, paired_gap
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import figure_of
 from omniocc.report.tables.protocol import counted_alike
-from omniocc.run.table import SCORES
 
 Runs = Sequence[FinishedRun]
-JUDGES = ("rayiou", "lidar/rayiou")
-"""Kinds of scores in which rows are compared."""
 NEAREST = 20
 """Most rows that a message names."""
 ALIKE: Mapping[str, Callable[[FinishedRun], str]] = {
@@ -60,10 +57,10 @@ class Pair(NamedTuple):
 
 
 def comparison_text(sweeps: Sequence[Sweep], words: Sequence[str]) -> str:
-    """Return the comparison of the first row with each other one by both kinds of scores, a line each.
+    """Return the comparison of the first row with each other one by both metrics, a line each.
 
     Two rows are compared in the setting (preset, steps, data) in which both have most seeds, or across settings, with a
-    warning. P-values are adjusted by Holm over the pairs, for each kind of score.
+    warning. P-values are adjusted by Holm over the pairs, for each metric.
 
     Args:
         sweeps: runs of all settings.
@@ -76,7 +73,7 @@ def comparison_text(sweeps: Sequence[Sweep], words: Sequence[str]) -> str:
     rows = {row_called(word, sweeps, found): word for word in words}
     if len(rows) < max(2, len(words)):
         raise UserError(f"--compare needs two rows or more, each once: not {' '.join(words)}")
-    (first, name), *others = ((row, word if word == row else f"{word} ({row})") for row, word in rows.items())
+    (first, name), *others = rows.items()
     pairs = [Pair(name, other, most_alike(found[first], found[row])) for row, other in others]
     lines, setting = [], ""
     for pair, *scores in zip(pairs, *(lines_of(pairs, judge) for judge in JUDGES), strict=True):
@@ -134,8 +131,8 @@ def most_alike(first: Sequence[Runs], other: Sequence[Runs]) -> tuple[Runs, Runs
 
 
 def lines_of(pairs: Sequence[Pair], judge: str) -> Iterator[str]:
-    """Yield the line of each pair in one kind of score."""
-    gaps = [gap_of(*pair.runs, f"test/{judge}") for pair in pairs]
+    """Yield the line of each pair in one metric."""
+    gaps = [gap_of(*pair.runs, f"{JUDGES[judge]}rayiou") for pair in pairs]
     tested = [place for place, (gap, _) in enumerate(gaps) if not math.isnan(gap.error)]
     adjusted = dict(zip(tested, holm([gaps[place][0].p_none for place in tested]), strict=True))
     for place, (pair, (gap, seeds)) in enumerate(zip(pairs, gaps, strict=True)):
@@ -143,7 +140,7 @@ def lines_of(pairs: Sequence[Pair], judge: str) -> Iterator[str]:
         tests = p_cell(gap.p_none, p_value) if len(pairs) > 1 else p_text(gap.p_none)
         measured = f"gap {gap.written} ({seeds})" if seeds else "not compared"
         shown = f"{measured}, p {tests}" if place in adjusted else measured
-        yield f"{SCORES[judge]:<13}  {shown}: {verdict(pair, gap, p_value)}"
+        yield f"{judge:<14}  {shown}: {verdict(pair, gap, p_value)}"
 
 
 def gap_of(first: Runs, other: Runs, key: str) -> tuple[Gap, str]:

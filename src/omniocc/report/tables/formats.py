@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -22,8 +23,13 @@ def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return out.getvalue()
 
 
+def exact(value: float | None) -> str:
+    """Return a figure for CSV, with six digits that count; nothing for what is not known."""
+    return "" if value is None or math.isnan(value) else f"{value:.6g}"
+
+
 class Part(NamedTuple):
-    """A table of a page, with the name of its place and a remark above it."""
+    """A table of a page, with the name of its place and a remark."""
 
     name: str
     title: str
@@ -32,7 +38,6 @@ class Part(NamedTuple):
 
 
 def parts_text(parts: Sequence[Part]) -> str:
-    """Return tables as Markdown, the first below a heading of level 2, the others of level 3."""
-    heads = [f"{'###' if number else '##'} {part.title}" for number, part in enumerate(parts)]
-    texts = [text for head, part in zip(heads, parts, strict=True) for text in (head, part.note, markdown(*part.cells))]
-    return "\n\n".join(text.rstrip() for text in texts) + "\n" * bool(texts)
+    """Return tables as Markdown, each below a heading of level 2, its remark under it."""
+    texts = [text.strip() for part in parts for text in (f"## {part.title}", markdown(*part.cells), part.note)]
+    return "\n\n".join(filter(None, texts))

@@ -5,16 +5,10 @@ from typing import Any, NamedTuple
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import given
-from omniocc.report.tables.paper import figure_of, with_spread
-from omniocc.run.table import markdown
+from omniocc.report.tables.formats import csv_text
+from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
 
 SCORE = "val/rayiou"
-TITLE = "Learning rates"
-NOTE = (
-    "RayIoU on validation scenes, from which the rate of each system is chosen; test scenes are not looked at. Only "
-    "seeds that all rates of a system have are counted, so that every rate has the same number of tries. Depth and "
-    "sketch have rates of their own, which are the same in all systems that have these stages."
-)
 KEYS = ("optimizer.learning_rate", "preset.stages.occupancy.learning_rate")
 
 
@@ -62,17 +56,15 @@ def common_name(rows: Sequence[str]) -> str:
 
 
 def learning_rates(runs: Sequence[FinishedRun]) -> str:
-    """Return the page as Markdown; empty if no system was trained at several rates."""
+    """Return CSV with a line for each system and rate; empty if no system was trained at several rates.
+
+    Only seeds that all rates of a system have count, so that every rate has the same number of tries.
+    """
     tried = tried_rates(runs)
-    if not tried:
-        return ""
-    rates = sorted({rate for system in tried for rate in system.runs})
-    lines = []
-    for system in tried:
-        cells = [with_spread(SCORE, figure_of(system.runs.get(rate, ()), SCORE)) for rate in rates]
-        seeds = len(next(iter(system.runs.values())))
-        inner = sorted(system.runs)[1:-1]
-        end = "" if not inner or system.chosen in inner else ", an end of those tried"
-        lines.append([system.name, *cells, str(len(system.runs)), str(seeds), f"{system.chosen:g}{end}"])
-    head = ["system", *(f"{rate:g}" for rate in rates), "rates", "seeds of each", "chosen"]
-    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(head, lines)}"
+    head = ["system", "learning rate", *(f"validation voxel RayIoU, {column}" for column in SPREAD[:-1]), "seeds"]
+    lines = [
+        [system.name, f"{rate:g}", *spread_cells(figure_of(found, SCORE)), "yes" if rate == system.chosen else "no"]
+        for system in tried
+        for rate, found in system.runs.items()
+    ]
+    return csv_text([*head, "chosen"], lines) if lines else ""

@@ -3,11 +3,18 @@
 from collections.abc import Sequence
 
 from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.budget import steps_of_stages
+from omniocc.report.tables.formats import csv_text, exact
+from omniocc.run.cost import PEAK
 from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
-from omniocc.run.table import Cells, band_keys, number
+from omniocc.run.table import SCORES, Cells, band_keys, number
 
-RECORDS = ("seed", "steps", MINUTES, EARLIER_MINUTES, "commit", MACHINE)
+FACTS = {
+    "seed": "seed", "preset": "preset", "data": "fingerprint of the data", "steps": "steps", MINUTES: "minutes",
+    EARLIER_MINUTES: "minutes of depth and sketch", PEAK: "peak memory, MiB", "commit": "commit", MACHINE: "machine",
+}  # fmt: skip
+"""Titles of recorded facts."""
 
 
 def overview_keys(runs: Sequence[FinishedRun]) -> list[str]:
@@ -16,15 +23,10 @@ def overview_keys(runs: Sequence[FinishedRun]) -> list[str]:
     return [f"test/{key}" for key in ("rayiou", *bands, "lidar/rayiou", "voxel/miou")]
 
 
-def overview_titles(runs: Sequence[FinishedRun]) -> list[str]:
-    """Return the titles of `overview_keys`."""
-    names = [band.removeprefix("rayiou_") for band in band_keys(runs[0].metrics)]
-    return ["RayIoU", *names, "RayIoU, LiDAR", "mIoU"]
-
-
 def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
-    """Return head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
-    head = ["run", "seed", "steps", *overview_titles(runs)]
+    """Return head and rows: run, seed, steps, voxel RayIoU, its distance bands, surface RayIoU, mIoU."""
+    names = [band.removeprefix("rayiou_") for band in band_keys(runs[0].metrics)]
+    head = ["run", "seed", "steps", SCORES["rayiou"], *names, SCORES["lidar/rayiou"], "mIoU"]
     rows = []
     for run in runs:
         facts = [str(run.facts.get(key, "–")) for key in ("seed", "steps")]
@@ -32,10 +34,15 @@ def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
     return head, rows
 
 
-def records(runs: Sequence[FinishedRun]) -> Cells:
-    """Return head and rows of how the runs were made, by name: seed, steps, minutes, commit, machine, command."""
-    rows = []
+def records(runs: Sequence[FinishedRun]) -> str:
+    """Return CSV of how runs were made and what they scored, by name."""
+    bands = list(dict.fromkeys(key for run in runs for key in band_keys(run.metrics)))
+    scores = {"rayiou": SCORES["rayiou"], **{key: f"{SCORES['rayiou']}, {key.partition('_')[2]}" for key in bands}}
+    scores |= {"lidar/rayiou": SCORES["lidar/rayiou"], "voxel/iou": "IoU", "voxel/miou": "mIoU"}
+    lines = []
     for run in sorted(runs, key=lambda run: run.name):
-        command = "–" if run.command is None else f"`{run.command}`"
-        rows.append([run.name, *(str(run.facts.get(key, "–")) for key in RECORDS), command])
-    return ["run", "seed", "steps", "minutes", "of earlier stages", "commit", MACHINE, "command"], rows
+        facts = [str(run.facts.get(key, "")) for key in FACTS]
+        known = [exact(run.metrics.get(f"test/{key}")) for key in scores]
+        lines.append([run.name, run.row, *facts, steps_of_stages(run), *known, run.command or ""])
+    head = ["run", "row", *FACTS.values(), "steps of depth, sketch and occupancy", *scores.values(), "command"]
+    return csv_text(head, lines)

@@ -1,7 +1,8 @@
-"""Tables of the paper: its figures beside those of the runs here, mean and standard deviation over seeds."""
+"""Tables of the paper: its figures beside those of the runs here, means over seeds."""
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -11,12 +12,19 @@ from scipy import stats
 
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun, read_mapping
-from omniocc.report.tables.formats import csv_text, tabular
+from omniocc.report.tables.formats import csv_text, exact, tabular
 from omniocc.report.tables.protocol import protocol_lines
-from omniocc.run.table import markdown, number
+from omniocc.run.table import Cells, number
 
 COMPARED = ("parts", "grids", "systems")
 """What the rows of a table may be."""
+PAPER, PAGES = "paper", ("paper", "systems", "beyond", "appendix/breakdowns")
+"""Page of the paper's own tables, and all pages of the documentation that may show a table."""
+NUMERALS = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
+WIDE_COLUMNS = 5
+"""A table with more columns than these has a line for each column, so that the paper's figures fit beside ours."""
+SPREAD = ["mean", "standard deviation", "standard error", "seeds"]
+"""Columns of a figure in CSV."""
 
 
 class PaperRow(NamedTuple):
@@ -36,10 +44,6 @@ class PaperRow(NamedTuple):
     alone: bool = False
     claim: str = ""
 
-    def ahead_of(self, other: "PaperRow") -> str:
-        """Return the claim that this method is better than another one, in words."""
-        return f"{self.title} ahead of {other.title}"
-
 
 class PaperTable(NamedTuple):
     """A table of the paper, as `sweeps/<table>.yaml` describes it.
@@ -53,6 +57,7 @@ class PaperTable(NamedTuple):
         note: inconsistencies of the paper's figures.
         here: what holds of the runs of the documentation only; pages of the documentation have it behind the note.
         number: the table's number in the paper.
+        page: page of the documentation that shows it; empty if none does.
         compares: `parts` of one system, whose rows share depth and sketch of a seed; `grids`, whose rows share the
             depth alone and are compared as systems; or `systems`.
         claims: pairs of rows, the first ahead of the second: in the paper, or as a claim of one's own where one of them
@@ -70,11 +75,22 @@ class PaperTable(NamedTuple):
     note: str = ""
     here: str = ""
     number: int = 0
+    page: str = ""
     compares: str = "parts"
     claims: Sequence[tuple[str, str]] = ()
     of_lengths: bool = False
     steps: str = ""
     reasons: Mapping[str, str] = MappingProxyType({})
+
+    @property
+    def heading(self) -> str:
+        """Return the title, behind the number that it has in the paper."""
+        return f"Table {NUMERALS[self.number]}: {self.title}" if self.number else self.title
+
+    @property
+    def short(self) -> str:
+        """Return the number in the paper, or the title of a table that the paper does not have."""
+        return f"Table {NUMERALS[self.number]}" if self.number else self.title
 
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
         """Return whether two rows can use the same depth and sketch networks in a seed."""
@@ -115,6 +131,11 @@ class Figure(NamedTuple):
     std: float
     seeds: int
 
+    @property
+    def error(self) -> float:
+        """Return the standard error of the mean."""
+        return self.std / math.sqrt(self.seeds)
+
 
 def load_table(path: Path) -> PaperTable:
     """Return the table that a file describes.
@@ -131,11 +152,12 @@ def load_table(path: Path) -> PaperTable:
             for run, row in content["rows"].items()
         ]
         note, here, number_in_paper = content.get("note", ""), content.get("here", ""), content.get("number", 0)
+        page = content.get("page", PAPER if number_in_paper else "")
         compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
         of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
         table = PaperTable(
-            path.stem, content["title"], columns, order_by, rows, note, here, number_in_paper, compares, claims,
-            of_lengths, reasons=dict(content.get("reasons", {})),
+            path.stem, content["title"], columns, order_by, rows, note, here, number_in_paper, page, compares,
+            claims, of_lengths, reasons=dict(content.get("reasons", {})),
         )  # fmt: skip
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
@@ -147,6 +169,8 @@ def _check(table: PaperTable, path: Path) -> None:
     order_by = table.order_by
     if order_by not in table.columns:
         raise UserError(f"{path}: order_by is {order_by}, which is no column")
+    if table.page not in ("", *PAGES):
+        raise UserError(f"{path}: page is {table.page}; it is one of {', '.join(PAGES)}")
     if table.compares not in COMPARED:
         raise UserError(f"{path}: compares is {table.compares}; it is one of {', '.join(COMPARED)}")
     rows = {row.run: row for row in table.rows}
@@ -189,17 +213,33 @@ def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> lis
     return [(row, [figure_of(runs.get(row.run, []), key) for key in table.columns]) for row in table.rows]
 
 
-def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return two lines for each method, the paper's and ours, and below the order of the methods in both."""
-    lines = []
-    for row, figures in rows_of(table, runs):
-        if has_paper(row):
-            lines.append([row.title, "paper", *(in_cell(key, value) for key, value in row.paper.items())])
-        lines.append([row.title, source_of(figures), *map(with_spread, table.columns, figures)])
-    head = ["method", "", *table.columns.values()]
-    parts = [f"## {table.title}", table.note, markdown(head, lines).rstrip(), order_line(table, runs)]
-    parts += protocol_lines(runs_of(table, runs), table.columns)
-    return "\n\n".join(filter(None, parts)) + "\n"
+def table_cells(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], errors: bool = True) -> Cells:
+    """Return head and a line for each method: the paper's figure, where it has any, and ours, mean ± standard error.
+
+    Tables of many columns, of which the paper has some, have a line for each column instead. Without `errors` ours are
+    means alone.
+    """
+    shown = with_error if errors else mean_alone
+    found = rows_of(table, runs)
+    papers = [[in_cell(key, value) for key, value in row.paper.items()] for row, _ in found]
+    ours = [list(map(shown, table.columns, figures)) for _, figures in found]
+    seeds = [str(max((figure.seeds for figure in figures if figure), default=0)) for _, figures in found]
+    rows, titles = [row.title for row, _ in found], list(table.columns.values())
+    columns: list[tuple[str, list[str]]] = []
+    if len(titles) > WIDE_COLUMNS and any(has_paper(row) for row, _ in found):
+        for place, (row, _) in enumerate(found):
+            columns += [(f"{row.title}, paper", [*papers[place], "–"])] * has_paper(row)
+            columns.append((f"{row.title}, here", [*ours[place], seeds[place]]))
+        first, names = "Metric", [*titles, "Seeds"]
+    else:
+        for place, (key, title) in enumerate(table.columns.items()):
+            printed = any(row.paper[key] is not None for row, _ in found)
+            columns += [(f"{title}, paper", [cells[place] for cells in papers])] * printed
+            columns.append((f"{title}, here" if printed else title, [cells[place] for cells in ours]))
+        first, names = "Method", rows
+        columns.append(("Seeds", seeds))
+    lines = zip(names, *(cells for _, cells in columns), strict=True)
+    return [first, *(title for title, _ in columns)], [list(line) for line in lines]
 
 
 def runs_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> dict[str, Sequence[FinishedRun]]:
@@ -212,29 +252,19 @@ def has_paper(row: PaperRow) -> bool:
     return any(value is not None for value in row.paper.values())
 
 
-def source_of(figures: Sequence[Figure | None]) -> str:
-    """Return the number of seeds of our line of a method in words; of some columns it may be smaller."""
-    seeds = sorted({figure.seeds for figure in figures if figure is not None})
-    if not seeds:
-        return "here: not run"
-    return f"here, {'-'.join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))} seed{'s' * (seeds[-1] > 1)}"
-
-
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
     """Return a sentence with the paper's order and ours, and Kendall's tau between them.
 
     It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures. The sentence is empty
-    if the paper has no such table.
+    for fewer than three such methods.
     """
-    if not any(has_paper(row) for row in table.rows):
-        return ""
     both = []
     for row in table.rows:
         figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
         if figure is not None and paper is not None:
             both.append((row.title, paper, figure.mean))
     if len(both) < 3:
-        return "No order to compare: fewer than three methods have run."
+        return ""
     orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
     result: Any = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
     tau = float(result.statistic)
@@ -244,38 +274,64 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
     return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {agreement})."
 
 
-def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return CSV with a line per method and column."""
-    lines = []
-    for row, figures in rows_of(table, runs):
-        for key, figure in zip(table.columns, figures, strict=True):
-            ours = figure or Figure(math.nan, math.nan, 0)
-            known = ["" if math.isnan(value) else f"{value:.6g}" for value in ours[:2]]
-            paper = row.paper[key]
-            lines.append([row.run, row.title, key, "" if paper is None else paper, *known, ours.seeds])
-    return csv_text(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"], lines)
+def as_csv(table: PaperTable, *of_steps: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return CSV with a line for each method and column, of runs by row for one number of steps or several."""
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for runs in of_steps:
+        for row, figures in rows_of(table, runs):
+            steps = next((run.setting[1] for run in runs.get(row.run, ())), "")
+            for (key, title), figure in zip(table.columns.items(), figures, strict=True):
+                paper = row.paper[key]
+                if figure or (paper is not None and runs is of_steps[0]):
+                    names = [row.run.partition("@")[0], row.title, steps, title, key]
+                    line = [*names, "" if paper is None else str(paper), *spread_cells(figure)]
+                    lines.setdefault((row.run, steps, key), line)
+    return csv_text(["row", "method", "steps", "metric", "key", "paper", *SPREAD], lines.values())
+
+
+def spread_cells(figure: Figure | None) -> list[str]:
+    """Return the cells below `SPREAD` of a figure; empty ones for what is not known."""
+    if figure is None:
+        return ["", "", "", "0"]
+    return [*map(exact, (figure.mean, figure.std, figure.error)), str(figure.seeds)]
 
 
 def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return a LaTeX tabular, the paper's figure in brackets behind ours."""
-    lines = []
-    for row, figures in rows_of(table, runs):
-        cells = []
-        for (key, value), figure in zip(row.paper.items(), figures, strict=True):
-            ours = with_spread(key, figure).replace("±", r"$\pm$").replace("–", "--")
-            cells.append(ours + ("" if value is None else f" ({in_cell(key, value)})"))
-        lines.append([_tex(row.title), *cells])
-    comment = " ".join([f"{table.title}: here (paper).", *protocol_lines(runs_of(table, runs), table.columns)])
-    return tabular(comment, ["method", *map(_tex, table.columns.values())], lines)
+    """Return a LaTeX tabular of the same cells as `table_cells`."""
+    comment = " ".join([f"{table.title}.", *protocol_lines(runs_of(table, runs), table.columns)])
+    head, lines = table_cells(table, runs)
+    return tabular(comment, list(map(_tex, head)), [list(map(_tex, line)) for line in lines])
 
 
 def _tex(text: str) -> str:
-    return text.replace("&", r"\&").replace("%", r"\%").replace("_", r"\_")
+    for character, latex in {"&": r"\&", "%": r"\%", "_": r"\_", "±": r"$\pm$", "–": "--"}.items():
+        text = text.replace(character, latex)
+    return text
 
 
-def with_spread(key: str, figure: Figure | None) -> str:
-    """Return our figure for a table: mean ± standard deviation over seeds, which numbers of voxels do not have."""
-    if figure is None:
-        return in_cell(key, None)
-    no_std = math.isnan(figure.std) or key == VOXELS
-    return in_cell(key, figure.mean) + ("" if no_std else f" ± {figure.std:.3f}")
+def with_error(key: str, figure: Figure | None) -> str:
+    """Return our figure for a table: mean ± standard error over seeds, which numbers of voxels do not have."""
+    if figure is None or math.isnan(figure.std) or key == VOXELS:
+        return mean_alone(key, figure)
+    return f"{in_cell(key, figure.mean)} ± {figure.error:.3f}"
+
+
+def mean_alone(key: str, figure: Figure | None) -> str:
+    """Return the mean of our figure for a table."""
+    return in_cell(key, figure and figure.mean)
+
+
+def method_names(tables: Sequence[PaperTable]) -> dict[str, str]:
+    """Return the name of each row for readers, its title in the first of the paper's tables, or else its shortest one.
+
+    Of rows with the same title all but the first have the row behind it.
+    """
+    titles: dict[str, str] = {}
+    others = [(table.number, len(row.title), row) for table in tables for row in table.rows]
+    for *_, row in sorted(others, key=lambda entry: (not entry[0], entry[:2])):
+        titles.setdefault(row.run.partition("@")[0], row.title)
+    often = Counter(titles.values())
+    first = {title: row for row, title in reversed(titles.items())}
+    return {
+        row: title if often[title] == 1 or first[title] == row else f"{title} ({row})" for row, title in titles.items()
+    }

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
 from omniocc.run.results import PROTOCOL, says_the_same
-from omniocc.run.table import SCORES, score_of
+from omniocc.run.table import SCORES, score_of, titled
 
 
 def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> str:
@@ -31,7 +31,7 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
         for text, members in rows_by_text.items():
             where = f" ({_named(members, rows)})" if len(rows_by_text) > 1 else ""
             if text is not None:
-                lines.append(f"{SCORES[kind]}{where}: {text}.")
+                lines.append(f"{titled(SCORES[kind])}{where}: {text}.")
     return lines
 
 

@@ -12,23 +12,20 @@ from omniocc.report.tables.claims import (
     HOLDS,
     JUDGES,
     UNDECIDED,
+    VOXEL,
     Judged,
-    metric_of,
-    name_of,
-    pairs_of,
     planned_claims,
     rows_in,
     title_of,
 )
-from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of, has_paper
-from omniocc.report.tables.training import by_steps
+from omniocc.report.tables.paper import NUMERALS, PaperTable, figure_of, has_paper
+from omniocc.report.tables.training import Planned, by_steps, decided_in
 from omniocc.run.table import markdown, number
 
 COMMAND = "python src/report.py --runs docs/results/runs --docs docs/results"
 """What writes the documentation's pages of results, and the block in the README."""
 EQUAL_BUDGET, DISTANCE = "equal_budget", "distance"
 """The tables of rows with as many steps as all stages of the paper's model have together, and of scores by distance."""
-NUMERALS = ("", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X")
 NOT_TESTED, SAME, NOT_RUN = "–", "=", "not run"
 KINDS = {"✅": HOLDS, "☑": HOLDS, "❌": AGAINST, "❓": UNDECIDED, NOT_TESTED: NOT_RUN}
 """What each symbol counts as."""
@@ -49,13 +46,11 @@ REMARKS = (
     f"(opposite sign, or a gain of the paper's size excluded); ❓ undecided; {NOT_TESTED} not run or not tested.",
     "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
     "share networks of a seed are compared within seeds, so that a gap can differ from these scores in the last digit.",
-    "Equal budget: methods without stages of depth and sketch train for as many steps as all stages of OmniDepth-Occ "
-    f"together, and BEVDet learns from true ranges too; {SAME} marks two methods that have as many steps anyway.",
+    "Equal budget: methods without training of depth and sketch train for as many steps as OmniDepth-Occ "
+    f"in all, and BEVDet learns from true ranges too; {SAME} marks two methods that have as many steps anyway.",
 )
 WHY = "Why claims do not hold here, or stay undecided:"
 AGAIN = f"`{COMMAND}` writes this again from the records of the runs, without training."
-Planned = tuple[PaperTable, PaperRow, PaperRow]
-"""A claim that the first method is ahead of the second."""
 
 
 class Verdict(NamedTuple):
@@ -92,7 +87,7 @@ def results_lines(sweep: Sweep) -> list[str]:
     Raises:
         UserError: if a table gives the reason of something that it does not claim.
     """
-    claims = planned_claims(of_paper(sweep), "own voxels")
+    claims = planned_claims(of_paper(sweep), VOXEL)
     if not claims:
         return []
     longest = list(by_steps(sweep).values())[1:][-1:]
@@ -107,7 +102,7 @@ def results_lines(sweep: Sweep) -> list[str]:
         f"After {_training(more)}: {', '.join(counted(found))}." for more, found in zip(longest, after, strict=True)
     ]
     remarks = [*(f"* {line}" for line in REMARKS), *reason_lines(claims, here), f"* {AGAIN}"]
-    parts = [" ".join(told), markdown(head, lines, text=("Claim", "Verdict")), distance_text(sweep), "\n".join(remarks)]
+    parts = [" ".join(told), markdown(head, lines), distance_text(sweep), "\n".join(remarks)]
     return "\n\n".join(part.strip() for part in parts if part).splitlines()
 
 
@@ -118,18 +113,9 @@ def of_paper(sweep: Sweep) -> list[PaperTable]:
 
 def verdicts_in(sweep: Sweep, tables: Sequence[PaperTable], claims: Sequence[Planned]) -> list[Verdict]:
     """Return how tables of a sweep decide each of the claims, which may be those of a sweep with other steps."""
-    decided, found = sweep.claims, {}
-    for table in tables:
-        for pair in pairs_of(table):
-            names = [name_of(*pair, sweep.table_rows, metric_of(table, judge)) for judge in JUDGES]
-            verdict = Verdict(*(None if name is None else decided[name] for name in names))
-            found.setdefault(_subject(table, *pair), verdict)
-    return [found.get(_subject(*claim), Verdict()) for claim in claims]
-
-
-def _subject(table: PaperTable, better: PaperRow, other: PaperRow) -> tuple[str, ...]:
-    """Return what a claim is about: both rows without steps and budget (`_budget` ends such names), and the metric."""
-    return (*(row.run.partition("@")[0].removesuffix("_budget") for row in (better, other)), table.order_by)
+    return [
+        Verdict(*found) for found in zip(*(decided_in(sweep, tables, claims, judge) for judge in JUDGES), strict=True)
+    ]
 
 
 def _first_cells(sweep: Sweep, claims: Sequence[Planned], here: Sequence[Verdict]) -> Iterator[list[str]]:
@@ -143,7 +129,7 @@ def _first_cells(sweep: Sweep, claims: Sequence[Planned], here: Sequence[Verdict
         scores = [figure and figure.mean for figure in figures]
         measured = NOT_TESTED if verdict.voxels is None else _sizes(verdict.gap, scores)
         budget = SAME if equal.voxels is None and _as_many_steps(*runs) else equal.cell
-        yield [NUMERALS[table.number], short_title(*claim), printed, measured, verdict.symbol, budget]
+        yield [NUMERALS[table.number], title_of(*claim), printed, measured, verdict.symbol, budget]
 
 
 def _sizes(gap: str, scores: Iterable[float | None]) -> str:
@@ -161,7 +147,7 @@ def _training(sweep: Sweep) -> str:
     rows = rows_in(of_paper(sweep), sweep.table_rows)
     seeds = sorted({len(runs) for runs in rows.values()})
     ends = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))) if seeds else "no"
-    return f"{_in_thousands(sweep.runs[0].setting[1])} of the last stage, {ends} seed{'s' * (ends != '1')}"
+    return f"{_in_thousands(sweep.runs[0].setting[1])} of occupancy training, {ends} seed{'s' * (ends != '1')}"
 
 
 def _in_thousands(steps: str) -> str:
@@ -172,12 +158,6 @@ def _times(sweep: Sweep, longer: Sweep) -> str:
     """Return how many times the steps of a sweep a longer one has, or these where the former are not known."""
     fewest, most = sweep.runs[0].setting[1], longer.runs[0].setting[1]
     return f"{int(most) / int(fewest):.3g}x steps" if fewest.isdigit() else _in_thousands(most)
-
-
-def short_title(table: PaperTable, better: PaperRow, other: PaperRow) -> str:
-    """Return a claim in the words of its table, or else with the names of both methods."""
-    added = (better.run, other.run) in table.claims
-    return title_of(table, better, other) if added or not other.claim else other.claim
 
 
 def headline(verdicts: Sequence[Verdict]) -> str:
@@ -217,12 +197,12 @@ def reason_lines(claims: Sequence[Planned], here: Sequence[Verdict]) -> list[str
     Raises:
         UserError: if a table gives the reason of something that it does not claim.
     """
-    verdicts = {short_title(*claim): KINDS[verdict.symbol] for claim, verdict in zip(claims, here, strict=True)}
+    verdicts = {title_of(*claim): KINDS[verdict.symbol] for claim, verdict in zip(claims, here, strict=True)}
     titles: dict[str, list[str]] = {}
     for table in {table.name: table for table, *_ in claims}.values():
         for title, reason in table.reasons.items():
             if title not in verdicts:
-                own = ", ".join(short_title(*claim) for claim in claims if claim[0] is table)
+                own = ", ".join(title_of(*claim) for claim in claims if claim[0] is table)
                 raise UserError(f"table {table.name}: reasons has {title!r}, which it does not claim; it claims {own}")
             if verdicts[title] in (AGAINST, UNDECIDED):
                 titles.setdefault(reason, []).append(title)

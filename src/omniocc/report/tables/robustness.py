@@ -1,24 +1,26 @@
-"""What breaks each system: relative drops by kind of disturbance, every part with its standard error, nested ranges."""
+"""What breaks each system: relative losses by kind of disturbance, and every disturbance alone."""
 
 import math
-from collections.abc import Sequence
+import statistics
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from omniocc.report.runs import HASH
-from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind
-from omniocc.run.table import Cells, in_columns, markdown, number
+from omniocc.report.tables.budget import named
+from omniocc.report.tables.claims import SURFACE, VOXEL
+from omniocc.report.tables.formats import Part, csv_text, exact
+from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind, relative_drop
+from omniocc.run.table import Cells, in_columns, number
 
 TITLE = "What breaks them"
 NOTE = (
-    "RayIoU of the same test scenes with something wrong, part by part. A drop is the score without disturbance minus "
-    "that with it, ± the standard error over scenes (jackknife). A relative drop is in percent of the system's own "
-    "undisturbed score; a system that scores little has little to lose, so the last row has the RayIoU after the mean "
-    "relative drop. In the table of one system the row "
-    "'undisturbed' has scores where all others have drops; the columns 'within' are of RayIoU up to this distance. "
-    "s: wall-clock seconds of prediction and scores."
+    "RayIoU of the same test scenes with something wrong. A loss is the score without disturbance minus that with it. "
+    "A relative loss is in percent of the system's own undisturbed score; the mean is that over kinds of disturbances. "
+    "A system that scores little has little to lose, so the last line has the RayIoU after the mean loss."
 )
-SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxel/miou": "mIoU"}
+PARTS_NOTE = "In brackets: the standard error over scenes (jackknife)."
+SCORES = {"rayiou": VOXEL, "lidar/rayiou": SURFACE, "voxel/iou": "IoU", "voxel/miou": "mIoU"}
 
 
 def names_of(records: Sequence[Robustness]) -> list[str]:
@@ -49,20 +51,28 @@ def common_parts(records: Sequence[Robustness]) -> list[str]:
     return [part.part for part in records[0].disturbed if all(part.part in names for names in others)]
 
 
-def relative_cells(records: Sequence[Robustness]) -> Cells:
-    """Return head and rows: the mean relative drop by kind of disturbance, the least in bold, then their mean.
+def relative_cells(records: Sequence[Robustness], names: Sequence[str] = ()) -> Cells:
+    """Return head and rows: the mean relative loss by kind of disturbance, the least in bold, then their mean.
 
-    The first row is the undisturbed RayIoU, the last the RayIoU after the mean relative drop.
+    The first row is the undisturbed RayIoU, the last the RayIoU after the mean relative loss. Systems of the same name
+    are one column, of their means.
     """
-    drops = [drops_by_kind(record, set(common_parts(records))) for record in records]
-    undisturbed = [record.undisturbed.scores.get("rayiou", math.nan) for record in records]
-    rows = [["undisturbed RayIoU", *map(number, undisturbed)]]
-    rows += [[group, *_least_bold([one[group] for one in drops])] for group in drops[0]]
+    columns: dict[str, list[Robustness]] = {}
+    for name, record in zip(names or names_of(records), records, strict=True):
+        columns.setdefault(name, []).append(record)
+    parts = set(common_parts(records))
+    drops, undisturbed = [], []
+    for members in columns.values():
+        each = [drops_by_kind(record, parts) for record in members]
+        drops.append({group: statistics.mean(one[group] for one in each) for group in each[0]})
+        undisturbed.append(statistics.mean(one.undisturbed.scores.get("rayiou", math.nan) for one in members))
+    rows = [[f"undisturbed {VOXEL}", *map(number, undisturbed)]]
+    rows += [[group.replace("_", " "), *_least_bold([one[group] for one in drops])] for group in drops[0]]
     if drops[0]:
         means = [mean_drop(one) for one in drops]
         left = [score * (1 - mean) for score, mean in zip(undisturbed, means, strict=True)]
-        rows += [["mean of all kinds", *_least_bold(means)], ["RayIoU after it", *map(number, left)]]
-    return ["relative drop of RayIoU, %", *names_of(records)], rows
+        rows += [["mean of all kinds", *_least_bold(means)], [f"{VOXEL} after it", *map(number, left)]]
+    return [f"Loss of {VOXEL}, %", *columns], rows
 
 
 def mean_drop(drops: dict[str, float]) -> float:
@@ -71,54 +81,32 @@ def mean_drop(drops: dict[str, float]) -> float:
 
 
 def verdict(records: Sequence[Robustness]) -> str:
-    """Return in words which system loses least, and to what; nothing if no disturbance is common to all."""
+    """Return in words which system loses least; nothing if no disturbance is common to all."""
     parts = set(common_parts(records))
-    drops = {name: drops_by_kind(one, parts) for name, one in zip(names_of(records), records, strict=True)}
-    if not all(drops.values()):
-        return ""
-    order = sorted(drops, key=lambda name: mean_drop(drops[name]))
-    lines = []
-    for name in order:
-        kinds = sorted(drops[name], key=lambda group: -drops[name][group])
-        worst = kinds[:-1][:3] or kinds
-        most = ", ".join(f"{group} ({_percent(drops[name][group])} %)" for group in worst)
-        lines.append(
-            f"{name} loses {_percent(mean_drop(drops[name]))} % in the mean over kinds, most to {most}, "
-            f"least to {kinds[-1]} ({_percent(drops[name][kinds[-1]])} %)."
-        )
-    if len(order) == 1:
-        return lines[0]
-    wins = {name: [g for g in drops[name] if min(order, key=lambda n: drops[n][g]) == name] for name in order}
-    least = "; ".join(f"{name}: {', '.join(groups)}" for name, groups in wins.items() if groups)
-    return " ".join([f"{order[0]} loses least of all.", *lines, f"Kinds to which each loses least: {least}."])
+    means = {name: mean_drop(drops_by_kind(one, parts)) for name, one in zip(names_of(records), records, strict=True)}
+    name = min(means, key=lambda name: means[name])
+    return f"{name} loses least: {_percent(means[name])} % in the mean over kinds." if parts else ""
 
 
 def part_cells(records: Sequence[Robustness]) -> Cells:
-    """Return head and rows: the drop of RayIoU of every system to every disturbance."""
+    """Return head and rows: the loss of RayIoU of every system to every disturbance."""
     names = list(dict.fromkeys(part.part for record in records for part in record.disturbed))
     rows = []
     for name in names:
         found = [next((part for part in record.disturbed if part.part == name), None) for record in records]
         rows.append([name, *(_drop(part, record) for part, record in zip(found, records, strict=True))])
-    return ["drop of RayIoU", *names_of(records)], rows
+    return [f"loss of {VOXEL}", *names_of(records)], rows
 
 
-def score_cells(record: Robustness, name: str) -> Cells:
-    """Return head and rows of a system of this name: RayIoU, drops of all scores and of RayIoU within nested ranges."""
-    base = record.undisturbed
-    within = [key for key in base.scores if key.startswith(WITHIN)]
-    shown = {key: title for key, title in SCORES.items() if key in base.scores}
-    titles = [f"within {key.removeprefix(WITHIN).replace('m', ' m')}" for key in within]
-    head = [name, "RayIoU", *(f"{title}, drop" for title in shown.values()), *titles, "frames", "s"]
-    rows = []
-    for part in record.parts:
-        drops = [_drop(part, record, key) if part is not base else number(base.scores[key]) for key in shown]
-        near = [
-            number(base.scores[key] if part is base else drop_of(part, base, key).value) for key in within
-        ]  # fmt: skip
-        cells = [number(part.scores.get("rayiou")), *drops, *near, str(part.frames), f"{part.seconds:.0f}"]
-        rows.append([part.part, *cells])
-    return head, rows
+def report_parts(records: Sequence[Robustness]) -> list[Part]:
+    """Return for each setting a table of mean losses, with where the tests come from, and one of all disturbances."""
+    parts = []
+    for place, group in enumerate(comparable(records)):
+        name = f"robustness-{place}" if place else "robustness"
+        remarks = [NOTE, verdict(group), *map(facts_line, group, names_of(group))]
+        parts.append(Part(name, TITLE, " ".join(filter(None, remarks)), relative_cells(group)))
+        parts.append(Part(f"{name}-parts", f"{TITLE}: every disturbance", PARTS_NOTE, part_cells(group)))
+    return parts
 
 
 def facts_line(record: Robustness, name: str) -> str:
@@ -129,14 +117,49 @@ def facts_line(record: Robustness, name: str) -> str:
     return text + "".join(f" Left out: {line}." for line in facts.get("left out", []))
 
 
-def robustness_markdown(records: Sequence[Robustness]) -> str:
-    """Return all tables under a heading of level 2."""
-    parts = [f"## {TITLE}", NOTE]
+def page_parts(records: Sequence[Robustness], steps: str, names: Mapping[str, str]) -> list[Part]:
+    """Return a table of the systems trained for a number of steps, and one of all others, means over their seeds."""
+    parts = []
     for group in comparable(records):
-        parts += [verdict(group), markdown(*relative_cells(group)), markdown(*part_cells(group))]
-        for record, name in zip(group, names_of(group), strict=True):
-            parts += [markdown(*score_cells(record, name)), facts_line(record, name)]
-    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+        trained = [record.training.partition(" ")[0] for record in group]
+        for same in (True, False):
+            own = {place: record for place, record in enumerate(group) if (trained[place] == steps) == same}
+            rows = {place: HASH.sub("", record.system) for place, record in own.items()}
+            titles = [
+                named(row if same or not trained[place] else f"{row}@{trained[place]}", names)
+                for place, row in rows.items()
+            ]
+            title = f"Trained for {steps} steps" if same else "Trained for other numbers of steps"
+            if own:
+                parts.append(Part("robustness", title, "", relative_cells(list(own.values()), titles)))
+    return parts
+
+
+def robustness_csv(records: Sequence[Robustness], names: Mapping[str, str]) -> str:
+    """Return CSV with a line for each system and disturbance: every score, its loss and the standard error of that.
+
+    Where the test comes from stands in the first line of each system, the undisturbed one.
+    """
+    keys = list(dict.fromkeys(key for record in records for key in record.undisturbed.scores))
+    titles = [SCORES.get(key) or f"{VOXEL} within {key.removeprefix(WITHIN)}" for key in keys]
+    facts = {"seed": "seed of the disturbances", "command": "command", "commit": "commit", "machine": "machine"}
+    head = ["system", "method", "training", "kind of disturbance", "disturbance", "scenes", "frames", "seconds"]
+    head += [f"{title}{column}" for title in titles for column in ("", ", loss", ", standard error over scenes")]
+    head += [f"relative loss of {VOXEL}", *facts.values(), "left out"]
+    lines = []
+    for record in records:
+        row = HASH.sub("", record.system)
+        for part in record.parts:
+            cells = [record.system, names.get(row, row), record.training, part.group, part.part]
+            cells += [len(part.scenes), part.frames, f"{part.seconds:.0f}"]
+            drops = [(part.scores.get(key), *drop_of(part, record.undisturbed, key)) for key in keys]
+            cells += [exact(value) for each in drops for value in each]
+            cells.append(exact(relative_drop(part, record.undisturbed)))
+            if part is record.undisturbed:
+                cells += [record.facts.get(key, "") for key in facts]
+                cells.append("; ".join(record.facts.get("left out", [])))
+            lines.append(cells)
+    return csv_text(head, lines)
 
 
 def robustness_text(records: Sequence[Robustness]) -> str:
@@ -152,7 +175,7 @@ def _drop(part: PartScores | None, record: Robustness, key: str = "rayiou") -> s
     if part is None:
         return "–"
     drop = drop_of(part, record.undisturbed, key)
-    return number(drop.value) + ("" if math.isnan(drop.error) else f" ± {drop.error:.3f}")
+    return number(drop.value) + ("" if math.isnan(drop.error) else f" ({drop.error:.3f})")
 
 
 def _percent(fraction: float) -> str:

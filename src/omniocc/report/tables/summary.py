@@ -5,11 +5,12 @@ from collections.abc import Sequence
 
 from omniocc.errors import shortened
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables.paper import figure_of, with_spread
-from omniocc.report.tables.verdicts import verdict_cells
-from omniocc.run.table import SCORES, markdown
+from omniocc.report.tables.claims import JUDGES, VOXEL
+from omniocc.report.tables.paper import figure_of, method_names, with_error
+from omniocc.report.tables.verdicts import claim_lines
+from omniocc.run.table import markdown
 
-KEYS = {f"test/{kind}": SCORES[kind] for kind in ("rayiou", "lidar/rayiou")}
+KEYS = {f"{start}rayiou": title for title, start in JUDGES.items()}
 REMARKS, ROWS, WIDTH = 4, 10, 300
 """Most remarks and rows that are printed, and most characters of a remark."""
 
@@ -24,9 +25,11 @@ def summary(sweep: Sweep) -> str:
     """Return the remarks on a setting, its rows by falling RayIoU and the number of claims by verdict."""
     figures = [(row, runs, [figure_of(runs, key) for key in KEYS]) for row, runs in sweep.rows.items()]
     ranked = sorted(figures, key=lambda entry: -entry[2][0].mean if entry[2][0] else 0.0)
-    cells = [[row, str(len(runs)), *map(with_spread, KEYS, found)] for row, runs, found in ranked]
-    table = markdown(["row", "seeds", *KEYS.values()], cells).splitlines()
-    verdicts = Counter(line[5] for line in verdict_cells(sweep.tables, sweep.table_rows, sweep.claims)[1])
-    claims = f"Claims by own voxels: {', '.join(f'{verdict} {count}' for verdict, count in verdicts.items())}."
+    names = method_names(sweep.tables)
+    cells = [[row, names.get(row, "–"), str(len(runs)), *map(with_error, KEYS, found)] for row, runs, found in ranked]
+    table = markdown(["row", "method", "seeds", *KEYS.values()], cells).splitlines()
+    lines = claim_lines(sweep.tables, sweep.table_rows, sweep.claims)
+    verdicts = Counter(line.verdict for line in lines if line.judge == VOXEL)
+    claims = f"Claims by {VOXEL}: {', '.join(f'{verdict} {count}' for verdict, count in verdicts.items())}."
     remarks = first_lines([shortened(remark, WIDTH) for remark in sweep.remarks], REMARKS, "remarks")
     return "\n".join([*remarks, "", *first_lines(table, 2 + ROWS, "rows"), "", claims if verdicts else ""]).rstrip()

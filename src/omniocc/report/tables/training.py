@@ -11,36 +11,35 @@ from omniocc.report.tables.claims import (
     JUDGES,
     LEVEL,
     Judged,
-    Name,
     metric_of,
     name_of,
     p_cell,
     pairs_of,
     planned_claims,
-    signed,
     title_of,
 )
-from omniocc.report.tables.formats import Part, parts_text
+from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.report.tables.gaps import Gap, change
 from omniocc.report.tables.holm import holm
-from omniocc.report.tables.paper import PaperTable, figure_of, with_spread
+from omniocc.report.tables.paper import SPREAD, PaperRow, PaperTable, figure_of, spread_cells
 from omniocc.run.curves import read_curve
-from omniocc.run.table import Cells, number
+from omniocc.run.table import Cells
 
-TITLE = "The same rows and claims after more steps"
-NOTE = "Rows that have run with several numbers of steps of the last stage."
+TITLE = "What changes with more steps"
 CHANGES = (
-    "Claims whose two rows have both run with several numbers of steps. Each number of steps is a family of its own "
-    "for Holm's correction. A verdict can also differ because one number of steps has more seeds. Therefore the "
+    "Claims whose two methods have both run with several numbers of steps. Each number of steps is a family of its "
+    "own for Holm's correction. A verdict can also differ because one number of steps has more seeds. Therefore the "
     "change of the gap, from the fewest to the most steps, is tested itself: as if the runs of both had no noise in "
-    "common, with Holm's correction over as many claims as a family has. Where scores rise with training, gaps "
-    "rise with them: a change is not yet one in proportion."
+    "common, with Holm's correction over as many claims as a family has. Where scores rise with training, gaps rise "
+    "with them."
 )
 CURVES_TITLE = "Learning curves"
 CURVES = (
-    "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
-    "The learning rate falls to the end of all steps, so that the beginning of a long run is not a short run."
+    "Voxel RayIoU on validation scenes during training, mean over seeds. The learning rate falls to the end of all "
+    "steps, so that the beginning of a long run is not a short run."
 )
+Planned = tuple[PaperTable, PaperRow, PaperRow]
+"""A claim that the first method is ahead of the second."""
 RunsByRow = Mapping[str, Mapping[str, Sequence[FinishedRun]]]
 """Runs by row and number of steps."""
 PARTS = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -48,33 +47,24 @@ PARTS = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 class Compared(NamedTuple):
-    """A claim in the settings in which it was decided, by steps."""
+    """A claim in one metric, as it was decided at each number of steps; None where it was not."""
 
     title: str
     judge: str
-    found: Mapping[str, Judged]
+    found: Sequence[Judged | None]
 
     @property
     def change(self) -> Gap:
         """Return how far the gap moves from the fewest to the most steps."""
-        first, *_, last = self.found.values()
+        first, *_, last = (found for found in self.found if found is not None)
         return change(first.claim.gap, last.claim.gap)
 
 
-def chapter(sweep: Sweep) -> str:
-    """Return the page as Markdown; empty without a row that has run with several numbers of steps."""
-    return parts_text(parts_of(sweep))
-
-
-def parts_of(sweep: Sweep) -> list[Part]:
-    """Return the tables of scores, claims and learning curves of a sweep and of its `longer` ones."""
-    sweeps, rows = by_steps(sweep), runs_by_row(sweep)
-    if not rows:
-        return []
-    parts = [Part("training", TITLE, NOTE, score_cells(list(sweeps), rows))]
-    if claims := list(compared(sweeps)):
-        parts.append(Part("training-claims", "What changes with training", CHANGES, change_cells(claims, sweeps)))
-    return [*parts, Part("learning-curves", CURVES_TITLE, CURVES, curve_cells(rows))]
+def changes_part(sweep: Sweep) -> list[Part]:
+    """Return the table of claims of a sweep and of its `longer` ones; none without a claim decided in two of them."""
+    sweeps = by_steps(sweep)
+    claims = list(compared(sweeps))
+    return [Part("training", TITLE, CHANGES, change_cells(claims, sweeps))] if claims else []
 
 
 def runs_by_row(sweep: Sweep) -> RunsByRow:
@@ -103,62 +93,55 @@ def of_row(sweep: Sweep, row: str) -> Sequence[FinishedRun]:
     return sweep.rows.get(row) or sweep.lengths.get(f"{row}@{sweep.runs[0].setting[1]}", ())
 
 
-def score_cells(numbers: Sequence[str], rows: RunsByRow) -> Cells:
-    """Return head and a line for each row: RayIoU by both judges at every number of steps."""
-    head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in numbers)]
-    keys = [(key, steps) for key in ("test/rayiou", "test/lidar/rayiou") for steps in numbers]
-    lines = [
-        [row, *(with_spread(key, figure_of(runs.get(steps, ()), key)) for key, steps in keys)]
-        for row, runs in rows.items()
-    ]
-    return head, lines
+def decided_in(
+    sweep: Sweep, tables: Sequence[PaperTable], claims: Sequence[Planned], judge: str
+) -> list[Judged | None]:
+    """Return how tables of a sweep decide claims in a metric, which may be those of a sweep with other steps."""
+    decided, found = sweep.claims, {}
+    for table in tables:
+        for pair in pairs_of(table):
+            name = name_of(*pair, sweep.table_rows, metric_of(table, judge))
+            found.setdefault(_subject(table, *pair), decided[name] if name else None)
+    return [found.get(_subject(*claim)) for claim in claims]
+
+
+def _subject(table: PaperTable, better: PaperRow, other: PaperRow) -> tuple[str, ...]:
+    """Return what a claim is about: both rows without steps and budget (`_budget` ends such names), and the metric."""
+    return (*(row.run.partition("@")[0].removesuffix("_budget") for row in (better, other)), table.order_by)
 
 
 def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     """Yield the claims that were decided at two numbers of steps or more, each once."""
-    decided = {steps: sweep.claims for steps, sweep in sweeps.items()}
-    tables = [{table.name: table for table in sweep.tables} for sweep in sweeps.values()]
-    seen = set()
-    for table in _once(next(iter(sweeps.values())).tables):
-        for pairs in zip(*(pairs_of(of_steps[table.name]) for of_steps in tables), strict=True):
-            better, other = pairs[0]
-            for judge in JUDGES:
-                names: dict[str, Name | None] = {
-                    steps: name_of(ahead, behind, sweep.table_rows, metric_of(table, judge))
-                    for (steps, sweep), (ahead, behind) in zip(sweeps.items(), pairs, strict=True)
-                }
-                found = {steps: decided[steps][name] for steps, name in names.items() if name}
-                known = tuple(names.values())
-                if len(found) > 1 and known not in seen:
-                    seen.add(known)
-                    yield Compared(title_of(table, better, other), judge, found)
+    for judge in JUDGES:
+        claims = planned_claims(_once(next(iter(sweeps.values())).tables), judge)
+        by_sweep = [decided_in(sweep, _once(sweep.tables), claims, judge) for sweep in sweeps.values()]
+        for claim, *found in zip(claims, *by_sweep, strict=True):
+            if sum(each is not None for each in found) > 1:
+                yield Compared(title_of(*claim), judge, found)
 
 
 def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cells:
     """Return head and a line for each claim: gap and verdict at every number of steps, and how far the gap moved."""
-    head = ["claim", "paper", "judge", *(title for each in sweeps for title in (f"at {each} steps", "verdict"))]
-    head += ["change", "no change: p (Holm)", "changes"]
+    head = ["Claim", "Metric", *(title for each in sweeps for title in (f"{int(each):,} steps", "Verdict"))]
+    head += ["Change", "No change: p", "Changes"]
     adjusted = adjusted_changes(claims, _once(next(iter(sweeps.values())).tables))
     lines = []
     for claim, p_value in zip(claims, adjusted, strict=True):
         cells = [
             cell
-            for each in sweeps
-            for cell in (
-                (claim.found[each].claim.gap.written, claim.found[each].verdict) if each in claim.found else ("–", "–")
-            )
+            for found in claim.found
+            for cell in ((found.claim.gap.written, found.verdict) if found else ("–", "–"))
         ]
-        paper = next(iter(claim.found.values())).claim.paper
         changes = "unknown" if math.isnan(p_value) else "yes" if p_value < LEVEL else "not found"
         last = [claim.change.written, p_cell(claim.change.p_none, p_value), changes]
-        lines.append([claim.title, signed(paper), claim.judge, *cells, *last])
+        lines.append([claim.title, claim.judge, *cells, *last])
     return head, lines
 
 
 def adjusted_changes(claims: Sequence[Compared], tables: Sequence[PaperTable]) -> list[float]:
     """Return the p-value of 'the gap does not change' of each claim, adjusted by Holm.
 
-    The family of a judge has the claims of all tables, as that of verdicts, whether their rows have run or not.
+    The family of a metric has the claims of all tables, as that of verdicts, whether their rows have run or not.
     """
     found = [math.nan] * len(claims)
     for judge in JUDGES:
@@ -171,15 +154,20 @@ def adjusted_changes(claims: Sequence[Compared], tables: Sequence[PaperTable]) -
     return found
 
 
-def curve_cells(rows: RunsByRow) -> Cells:
-    """Return head and a line for each row and number of steps: RayIoU on validation scenes after parts of the steps."""
+def training_csv(rows: RunsByRow, names: Mapping[str, str]) -> str:
+    """Return CSV with a line for each row and number of steps: scores of the test, and those of validation on the way.
+
+    The latter are means over seeds of the last validation up to each part of all steps.
+    """
+    head = ["row", "method", "steps", *(f"{judge}, {column}" for judge in JUDGES for column in SPREAD)]
     lines = []
     for row, of_steps in rows.items():
         for steps, runs in of_steps.items():
-            ends = [float(steps) * part for part in PARTS]
+            scores = [cell for start in JUDGES.values() for cell in spread_cells(figure_of(runs, f"{start}rayiou"))]
             curves = [read_curve(run.folder, "val/rayiou") for run in runs]
-            lines.append([row, steps, *(number(_at(curves, end)) for end in ends)])
-    return ["row", "steps", *(f"{part:.0%}" for part in PARTS)], lines
+            ends = [_at(curves, float(steps) * part) for part in PARTS]
+            lines.append([row, names.get(row, row), steps, *scores, *map(exact, ends)])
+    return csv_text([*head, *(f"validation voxel RayIoU after {part:.0%} of the steps" for part in PARTS)], lines)
 
 
 def _at(curves: Sequence[Mapping[int, float]], end: float) -> float | None:

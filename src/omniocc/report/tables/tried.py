@@ -6,36 +6,28 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared, counted_otherwise, given, otherwise_text, preference
+from omniocc.report.selection import compared, counted_otherwise, given, preference
 from omniocc.report.tables.budget import steps_of_stages
-from omniocc.report.tables.paper import figure_of, with_spread
-from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.formats import csv_text
+from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
-from omniocc.run.table import Cells, band_names, markdown
+from omniocc.run.table import SCORES, Cells, band_names
 
-TITLE = "Changes that were tried"
-NOTE = (
-    "Scores on validation scenes, mean ± standard deviation over seeds; none is of test scenes. A change names the "
-    "settings that differ from the reference."
-)
-LAST = {"val/lidar/rayiou": "LiDAR", "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
+LAST = {"val/lidar/rayiou": SCORES["lidar/rayiou"], "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
 
 
 def columns_of(runs: Sequence[FinishedRun]) -> dict[str, str]:
     """Return the titles of the columns by the keys of their figures, with the bands of distance of the runs."""
     bands = dict.fromkeys(band for run in runs for band in band_names(run.metrics))
-    return {"val/rayiou": "RayIoU"} | {f"val/rayiou_{band}": band.replace("m", " m") for band in bands} | LAST
+    return {"val/rayiou": SCORES["rayiou"]} | {f"val/rayiou_{band}": band.replace("m", " m") for band in bands} | LAST
 
 
-def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
-    """Return the page as Markdown; arguments and errors as those of `tried_cells`."""
-    own = [run for run in runs if run.row == reference]
-    otherwise = counted_otherwise(runs, own)
-    kept = [run for run in runs if run.name not in otherwise]
-    left = otherwise_text(runs, otherwise).strip()
-    protocol = protocol_text({run.name: [run] for run in kept}, columns_of(kept)) + (f"\n{left}\n" if left else "")
-    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(kept, reference))}{protocol}"
+def tried_csv(runs: Sequence[FinishedRun], reference: str) -> str:
+    """Return CSV of all runs whose scores are counted as the reference's; errors as those of `tried_cells`."""
+    otherwise = counted_otherwise(runs, [run for run in runs if run.row == reference])
+    head, lines = tried_cells([run for run in runs if run.name not in otherwise], reference)
+    return csv_text(head, lines)
 
 
 def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
@@ -61,7 +53,8 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     scored = [(figure_of(members, "val/rayiou"), members) for members in kept]
     ordered = sorted(scored, key=lambda pair: -pair[0].mean if pair[0] else 1.0)
     columns = columns_of([run for members in kept for run in members])
-    return ["run", "change", "steps", "seeds", "minutes", *columns.values()], [
+    spread = [f"validation {title}, {column}" for title in columns.values() for column in SPREAD[:-1]]
+    return ["row", "change", "steps of depth, sketch and occupancy", "seeds", "minutes", *spread], [
         _line(members, base, columns) for _, members in ordered
     ]
 
@@ -69,7 +62,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
 def _line(members: Sequence[FinishedRun], base: Mapping[str, Any], columns: Iterable[str]) -> list[str]:
     first = members[0]
     minutes = [float(run.facts.get(MINUTES) or 0) for run in members]
-    figures = [with_spread(key, figure_of(members, key)) for key in columns]
+    figures = [cell for key in columns for cell in spread_cells(figure_of(members, key))[:-1]]
     parts = [members[-1].row, changes(first.config, base) or "the reference"]
     parts += [steps_of_stages(first), str(len(members))]
     return [*parts, f"{sum(minutes) / len(minutes):.0f}", *figures]

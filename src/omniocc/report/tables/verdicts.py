@@ -1,7 +1,8 @@
-"""All claims of all tables in one list, by verdict."""
+"""All claims of all tables: by verdict for each metric, again by paired differences, and as CSV."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from omniocc.report.tables.claims import (
     AGAINST,
@@ -11,7 +12,6 @@ from omniocc.report.tables.claims import (
     Judged,
     Name,
     Rows,
-    both_errors,
     gap_by_seed,
     judged,
     metric_of,
@@ -21,86 +21,133 @@ from omniocc.report.tables.claims import (
     signed,
     title_of,
 )
-from omniocc.report.tables.formats import Part
+from omniocc.report.tables.formats import Part, exact
 from omniocc.report.tables.paper import PaperRow, PaperTable
-from omniocc.run.table import Cells
+from omniocc.run.table import Cells, number
 
-TITLE = "All claims"
+TITLE = "Claims by {}"
 NOTE = (
-    "Every claim of every table once, in the order of its verdict by the paper's own metric, own voxels. 'In "
-    "proportion': the printed gap / the printed score of the better method x its score here. 'Seeds': how many the "
-    "first and the second row have. A gap has its standard error over seeds, then over streets, which is not known for "
-    "bands of distance."
+    "Every claim of every table once, by its verdict. Rescaled: the printed gap / the printed score of the better "
+    "method x its score here. Gap: with its standard error over seeds. Error over scenes: the standard error of the "
+    "gap over the scenes of the test (jackknife), which is not known for bands of distance. Seeds: how many the first "
+    "and the second method have. p: of 'there is no gap' and of 'the gap is as large as the paper's', in brackets "
+    "adjusted for the number of claims (Holm)."
 )
-PAIRED_TITLE = "The same by paired differences"
+PAIRED_TITLE = "Claims by paired differences"
 PAIRED_NOTE = (
-    "The claims about rows that use the same depth network in a seed once more, tested by the difference of both "
-    "scores in each such seed and the standard deviation of these differences alone (paired t-test), with Holm's "
-    "correction over the same family. This assumes neither that the differences of all pairs of rows vary alike, nor "
-    "that two grids are independent of each other. The rule is that of the table above: a single pair leaves {freedom} "
-    "of freedom, with which fewer gaps are found. Where the verdicts differ, that above depends on its assumption."
+    "Claims about methods that use the same depth network in a seed, tested once more by the difference of both "
+    "scores in each such seed (paired t-test, Holm's correction over the same family). This assumes neither that the "
+    "differences of all pairs vary alike, nor that two grids are independent of each other. The verdict of the tables "
+    "above decides. It stands beside the paired one, which finds fewer gaps: a pair leaves {freedom} of freedom."
 )
-IN_COMMON = "seeds in common"
 NOT_RUN, OTHERWISE = "not run", "not compared: other protocols"
 ORDER = (HOLDS, AGAINST, UNDECIDED, OTHERWISE, NOT_RUN)
 
 
-def verdicts_parts(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[Part]:
-    """Return the tables of the page, of which the second needs rows that share the depth network."""
-    head, paired = paired_cells(tables, rows, decided)
-    freedom = sorted({int(line[head.index(IN_COMMON)]) - 1 for line in paired})
-    ends = " to ".join(map(str, dict.fromkeys((freedom[0], freedom[-1])))) if freedom else ""
-    about = PAIRED_NOTE.format(freedom=f"{ends} degree{'s' * (ends != '1')}")
-    parts = [
-        Part("claims", TITLE, NOTE, verdict_cells(tables, rows, decided)),
-        Part("claims-paired", PAIRED_TITLE, about, (head, paired)),
-    ]
-    return [part for part in parts if part.cells[1]]
+class ClaimLine(NamedTuple):
+    """A claim in one metric; `found` is None where it was not decided, `paired` where no seeds can be paired."""
+
+    table: PaperTable
+    better: PaperRow
+    other: PaperRow
+    judge: str
+    seeds: tuple[int, int]
+    found: Judged | None
+    paired: Judged | None
+
+    @property
+    def title(self) -> str:
+        """Return the claim in words."""
+        return title_of(self.table, self.better, self.other)
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict, or why there is none."""
+        if self.found is not None:
+            return self.found.verdict
+        return OTHERWISE if all(self.seeds) else NOT_RUN
+
+    @property
+    def cells(self) -> list[str]:
+        """Return the cells of a line of its metric's table."""
+        first = [self.title, self.table.short, signed(self.table.printed_gap(self.better, self.other))]
+        if self.found is None:
+            return [*first, *["–"] * 6, self.verdict]
+        claim, none, size = self.found
+        tests = p_cell(claim.gap.p_none, none), p_cell(claim.p_size, size)
+        seeds = " and ".join(map(str, self.seeds))
+        return [*first, signed(claim.size), claim.gap.written, number(claim.streets), seeds, *tests, self.verdict]
 
 
-def verdict_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
-    """Return head and a line for each claim of all tables, by verdict."""
-    claims = planned_claims(tables, "own voxels")
-    lines = sorted((_line(*claim, rows, decided) for claim in claims), key=lambda line: _place(line[5]))
-    return ["claim", "table", "paper", "in proportion", "seeds", "verdict", *JUDGES, "verdict by LiDAR rays"], lines
+HEAD = ["Claim", "Table", "Paper", "Rescaled", "Gap here", "Error over scenes", "Seeds", "No gap: p"]
+HEAD += ["Paper's gap: p", "Verdict"]
+"""Titles of `ClaimLine.cells`."""
 
 
-def paired_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
-    """Return head and a line for each claim and judge by paired differences, beside the verdict of `decided`."""
-    head = ["claim", "table", "judge", IN_COMMON, "gap ± error", "no gap: p (Holm)", "paired verdict"]
-    head += ["verdict above", "differs"]
+def claim_lines(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[ClaimLine]:
+    """Return every claim of all tables in each metric, by verdict."""
     paired, lines = judged(tables, rows, paired=True), []
-    for table, better, other in planned_claims(tables, "own voxels"):
-        for judge in JUDGES:
-            name = name_of(better, other, rows, metric_of(table, judge))
-            if name is None or math.isnan(gap_by_seed(table, better, other, rows, name[-1]).here):
-                continue
-            alone, above = paired[name], decided[name]
-            cells = [title_of(table, better, other), table.title, judge, f"{alone.claim.gap.freedom + 1}"]
-            differs = "yes" if alone.verdict != above.verdict else "no"
-            p_values = p_cell(alone.claim.gap.p_none, alone.none)
-            lines.append([*cells, alone.claim.gap.written, p_values, alone.verdict, above.verdict, differs])
-    return head, lines
-
-
-def _place(verdict: str) -> int:
-    return next(place for place, start in enumerate(ORDER) if verdict.startswith(start))
-
-
-def _line(
-    table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, decided: Mapping[Name, Judged]
-) -> list[str]:
-    found = {}
     for judge in JUDGES:
-        name = name_of(better, other, rows, metric_of(table, judge))
-        found[judge] = None if name is None else decided[name]
-    own, lidar = found.values()
-    title = title_of(table, better, other)
-    if own is None:
-        printed = signed(table.printed_gap(better, other))
-        ran = better.run in rows and other.run in rows
-        return [title, table.title, printed, "–", "–", OTHERWISE if ran else NOT_RUN, *["–"] * len(JUDGES), "–"]
-    seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
-    gaps = ["–" if each is None else both_errors(each.claim) for each in found.values()]
-    sizes = signed(own.claim.paper), signed(own.claim.size)
-    return [title, table.title, *sizes, seeds, own.verdict, *gaps, "–" if lidar is None else lidar.verdict]
+        for table, better, other in planned_claims(tables, judge):
+            key = metric_of(table, judge)
+            name = name_of(better, other, rows, key)
+            seeds = len(rows.get(better.run, ())), len(rows.get(other.run, ()))
+            by_seed = name and not math.isnan(gap_by_seed(table, better, other, rows, name[-1]).here)
+            found = decided[name] if name else None
+            lines.append(
+                ClaimLine(table, better, other, judge, seeds, found, paired[name] if name and by_seed else None)
+            )
+    return sorted(lines, key=lambda line: next(k for k, start in enumerate(ORDER) if line.verdict.startswith(start)))
+
+
+def verdicts_parts(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[Part]:
+    """Return a table of claims for each metric, and one of those that can be paired."""
+    lines = claim_lines(tables, rows, decided)
+    parts = [
+        Part(f"claims-{judge.split()[0]}", TITLE.format(judge), NOTE, (HEAD, [each.cells for each in of_judge]))
+        for judge in JUDGES
+        if (of_judge := [line for line in lines if line.judge == judge])
+    ]
+    paired = [(line, line.paired) for line in lines if line.paired]
+    if paired:
+        freedom = sorted({int(found.claim.gap.freedom) for _, found in paired})
+        ends = " to ".join(map(str, dict.fromkeys((freedom[0], freedom[-1]))))
+        note = PAIRED_NOTE.format(freedom=f"{ends} degree{'s' * (ends != '1')}")
+        parts.append(Part("claims-paired", PAIRED_TITLE, note, paired_cells(paired)))
+    return parts
+
+
+def paired_cells(lines: Sequence[tuple[ClaimLine, Judged]]) -> Cells:
+    """Return head and a line for each claim and metric by paired differences, beside the verdict that decides."""
+    head = ["Claim", "Table", "Metric", "Seeds in common", "Gap here", "No gap: p", "Paired verdict", "Verdict"]
+    return head, [
+        [
+            line.title, line.table.short, line.judge, f"{found.claim.gap.freedom + 1:.0f}", found.claim.gap.written,
+            p_cell(found.claim.gap.p_none, found.none), found.verdict, line.verdict,
+        ]
+        for line, found in lines
+    ]  # fmt: skip
+
+
+CSV_HEAD = ["steps", "metric", "table", "claim", "seeds of the first method", "seeds of the second method", "verdict"]
+CSV_HEAD += ["paper's gap", "paper's gap rescaled", "gap here", "standard error over seeds", "degrees of freedom"]
+CSV_HEAD += ["standard error over scenes", "p of no gap", "p of no gap adjusted", "p of the paper's gap"]
+CSV_HEAD += ["p of the paper's gap adjusted", "paired gap", "paired standard error", "seeds in common"]
+CSV_HEAD += ["paired p of no gap", "paired p of no gap adjusted", "paired verdict"]
+
+
+def csv_lines(
+    tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged], steps: str
+) -> Iterator[list[str]]:
+    """Yield the lines below `CSV_HEAD` of all claims that were decided."""
+    for line in claim_lines(tables, rows, decided):
+        if line.found is not None:
+            claim, paired = line.found.claim, line.paired
+            values = [claim.paper, claim.size, *claim.gap, claim.streets]
+            values += [claim.gap.p_none, line.found.none, claim.p_size, line.found.size]
+            cells = [steps, line.judge, line.table.short, line.title, *map(str, line.seeds), line.verdict]
+            again = [""] * 6
+            if paired is not None:
+                gap = paired.claim.gap
+                again = [*map(exact, (*gap[:2], gap.freedom + 1, gap.p_none, paired.none)), paired.verdict]
+            yield [*cells, *map(exact, values), *again]

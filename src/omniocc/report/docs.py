@@ -1,0 +1,213 @@
+"""The generated pages of results in the documentation, and the CSV beside them."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from omniocc.errors import UserError
+from omniocc.io import atomic_write, read_bytes, text_of
+from omniocc.progress import Progress
+from omniocc.report.chapters import SPREAD, bounds_part, budget_part
+from omniocc.report.dataset.table import dataset_csv, dataset_part, with_records
+from omniocc.report.runs import FinishedRun
+from omniocc.report.sweep import Sweep
+from omniocc.report.tables import robustness, training
+from omniocc.report.tables.budget import minutes_in_all, named
+from omniocc.report.tables.claims import rows_in
+from omniocc.report.tables.formats import Part, csv_text, parts_text
+from omniocc.report.tables.learning_rates import learning_rates
+from omniocc.report.tables.overview import records
+from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, method_names, table_cells
+from omniocc.report.tables.power import power_csv
+from omniocc.report.tables.protocol import protocol_lines
+from omniocc.report.tables.results import COMMAND, of_paper, results_lines
+from omniocc.report.tables.tried import tried_csv
+from omniocc.report.tables.verdicts import CSV_HEAD, csv_lines, verdicts_parts
+
+GENERATED = f"<!-- Written by `{COMMAND}`; do not edit. -->"
+BEGIN, END = f"<!-- Results, written by `{COMMAND}`; do not edit. -->", "<!-- End of the results. -->"
+"""Lines around the results on their page and in the README."""
+TRIED_AGAINST = "extended"
+"""Row to which `tried.csv` compares all others."""
+CURVES_IMAGE = "learning_curves.svg"
+"""Image of the learning curves, in the folder of the pages."""
+TITLES = {
+    "index": "The paper's claims, at small scale",
+    PAPER: "The paper's tables, trained here",
+    "systems": "Other systems",
+    "beyond": "Beyond the paper",
+    "robustness": "What breaks the models",
+    "appendix/claims": "All claims, with errors and p-values",
+    "appendix/breakdowns": "By class, place, weather and motion",
+    "appendix/costs": "Costs and bounds",
+}
+"""Title of each page, by its path."""
+MORE = (
+    f"{SPREAD} Pages have means alone; the spread is in the appendix and in the CSV files.",
+    "[The paper's Tables I to VII](paper.md), [other systems](systems.md), [beyond the paper](beyond.md), "
+    "[robustness](robustness.md), [method](method.md). Appendix: [all claims](appendix/claims.md), [by class, place, "
+    "weather and motion](appendix/breakdowns.md), [costs](appendix/costs.md), [deviations from the plan]"
+    "(appendix/deviations.md).",
+    "CSV: every table by its name, [all claims](csv/claims.csv), [all runs with commands](csv/runs.csv), "
+    "[runs of other presets](csv/presets.csv), [learning curves](csv/training.csv), [changes that were tried]"
+    "(csv/tried.csv), [learning rates](csv/learning_rates.csv), [seeds that a gap needs](csv/power.csv).",
+)
+MEANS = "Means over seeds; the figures 'here' are of the runs of this repository."
+DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
+
+
+def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
+    """Write the pages of results and the CSV files beside them, and return the files.
+
+    They depend on the records of the runs and on the tables alone. Existing ones are overwritten.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
+    files, written = files_of(sweeps), []
+    with Progress("writing results", len(files), unit="files") as progress:
+        for name, compose in files.items():
+            if text := compose():
+                written.append(folder / name)
+                atomic_write(written[-1], text)
+            progress.advance()
+    return written
+
+
+def files_of(sweeps: Sequence[Sweep]) -> dict[str, Callable[[], str]]:
+    """Return what composes the text of each file, by its path; the text is empty where there is nothing to tell."""
+    sweep, every = documented(sweeps[0]), [run for each in sweeps for run in each.runs]
+    pages: dict[str, Callable[[], str]] = {page: partial(tables_page, page, sweep) for page in PAGES}
+    pages |= {
+        "index": partial(results_page, sweep),
+        "robustness": partial(robustness_page, sweep),
+        "appendix/claims": partial(claims_page, sweep),
+        "appendix/costs": partial(costs_page, sweep),
+    }
+    found = {f"{page}.md": partial(page_text, page, compose) for page, compose in pages.items()}
+    return found | {f"csv/{name}.csv": compose for name, compose in csv_files(sweep, every).items()}
+
+
+def csv_files(sweep: Sweep, every: Sequence[FinishedRun]) -> dict[str, Callable[[], str]]:
+    """Return what composes the text of each CSV file, by its name."""
+    names, preset = method_names(sweep.tables), sweep.runs[0].setting[0]
+    others = [run for run in every if run.setting[0] != preset]
+    tests = sweep.robustness
+    longer = [each.table_rows for each in list(training.by_steps(sweep).values())[1:]]
+    found: dict[str, Callable[[], str]] = {
+        table.name: partial(as_csv, table, sweep.table_rows, *([] if table.of_lengths else longer))
+        for table in sweep.tables
+    }
+    found |= {table.name: partial(dataset_csv, table) for table in sweep.datasets}
+    return found | {
+        "claims": lambda: claims_csv(sweep),
+        "runs": lambda: records(every),
+        "presets": lambda: records(others) if others else "",
+        "training": lambda: training.training_csv(training.runs_by_row(sweep), names),
+        "tried": lambda: tried_csv(every, TRIED_AGAINST) if any(run.row == TRIED_AGAINST for run in every) else "",
+        "learning_rates": lambda: learning_rates(every),
+        "power": lambda: power_csv(sweep.tables, sweep.table_rows, sweep.seed_stds),
+        "robustness": lambda: robustness.robustness_csv(tests, names) if tests else "",
+    }
+
+
+def page_text(page: str, compose: Callable[[], str]) -> str:
+    """Return a page below its title; empty if it has nothing to tell."""
+    text = compose()
+    return f"{GENERATED}\n\n# {TITLES[page]}\n\n{text.strip()}\n" if text else ""
+
+
+def results_page(sweep: Sweep) -> str:
+    """Return the page of all results; empty without a table of the paper."""
+    return "\n\n".join(["\n".join(results_block(sweep)), *MORE]) if of_paper(sweep) else ""
+
+
+def tables_page(page: str, sweep: Sweep) -> str:
+    """Return the tables of a page, means alone, each with its note and runs below; then how scores were counted."""
+    tables = [table for table in sweep.tables if table.page == page]
+    root = "../" * page.count("/")
+    parts = [dataset_part(table) for table in sweep.datasets] if page == PAPER else []
+    parts += [
+        Part(
+            table.name,
+            table.heading,
+            f"{table.note}\n\n{source(table, sweep)} With the spread: [{table.name}.csv]({root}csv/{table.name}.csv).",
+            table_cells(table, sweep.table_rows, errors=False),
+        )
+        for table in tables
+    ]
+    keys = dict.fromkeys(key for table in tables for key in table.columns)
+    names = method_names(sweep.tables)
+    rows = {named(row, names): runs for row, runs in rows_in(tables, sweep.table_rows).items()}
+    counted = protocol_lines(rows, keys)
+    return "\n\n".join([MEANS, parts_text(parts), *counted]) if tables else ""
+
+
+def source(table: PaperTable, sweep: Sweep) -> str:
+    """Return a sentence on the runs of a table: their number, seeds and hours."""
+    runs = {run.name: run for runs in rows_in([table], sweep.table_rows).values() for run in runs}.values()
+    seeds = sorted({str(run.facts.get("seed", "?")) for run in runs})
+    hours = sum(map(minutes_in_all, runs)) / 60
+    return f"{len(runs)} runs, seeds {', '.join(seeds)}, {hours:.1f} hours of training."
+
+
+def robustness_page(sweep: Sweep) -> str:
+    """Return the mean losses by kind of disturbance; empty without a test."""
+    if not sweep.robustness:
+        return ""
+    parts = robustness.page_parts(sweep.robustness, sweep.runs[0].setting[1], method_names(sweep.tables))
+    files = "Every disturbance alone, with errors over scenes and commands: [robustness.csv](csv/robustness.csv)."
+    return "\n\n".join([robustness.NOTE, parts_text(parts), DISTURBANCES, files])
+
+
+def claims_page(sweep: Sweep) -> str:
+    """Return every claim with errors and p-values, what changes with more steps, and the learning curves."""
+    parts = verdicts_parts(sweep.tables, sweep.table_rows, sweep.claims)
+    changes = training.changes_part(sweep)
+    image = f"![Validation RayIoU over the steps](../{CURVES_IMAGE})"
+    curves = f"## {training.CURVES_TITLE}\n\n{image}\n\n{training.CURVES}"
+    files = "All figures, for every number of steps: [claims.csv](../csv/claims.csv)."
+    shown = [curves] if training.runs_by_row(sweep) else []
+    return "\n\n".join([f"{SPREAD} {files}", parts_text([*parts, *changes]), *shown]) if parts else ""
+
+
+def costs_page(sweep: Sweep) -> str:
+    """Return what the rows of the tables cost, and the bounds of scores on each grid."""
+    return parts_text([budget_part(sweep, rows_in(sweep.tables, sweep.table_rows)), bounds_part(sweep)])
+
+
+def claims_csv(sweep: Sweep) -> str:
+    """Return CSV of all claims for every number of steps."""
+    lines = [
+        line
+        for steps, each in training.by_steps(sweep).items()
+        for line in csv_lines(each.tables, each.table_rows, each.claims, steps)
+    ]
+    return csv_text(CSV_HEAD, lines)
+
+
+def documented(sweep: Sweep) -> Sweep:
+    """Return a sweep with what the tables say of the runs of the documentation, and with datasets as runs name them."""
+    tables = [table._replace(note=f"{table.note} {table.here}".strip()) for table in sweep.tables]
+    runs = [run for runs in sweep.table_rows.values() for run in runs]
+    return sweep._replace(tables=tables, datasets=[with_records(table, runs) for table in sweep.datasets])
+
+
+def results_block(sweep: Sweep) -> list[str]:
+    """Return the lines that the page of all results and the README share, with the marks around them."""
+    return [BEGIN, *results_lines(sweep), END]
+
+
+def write_results_into(path: Path, sweep: Sweep) -> None:
+    """Write the results into a Markdown file in place of those that it has.
+
+    Raises:
+        DataError: naming the file that cannot be read or written.
+        UserError: if the file has no place for them.
+    """
+    lines = text_of(read_bytes(path)).splitlines()
+    first = lines.index(BEGIN) if BEGIN in lines else len(lines)
+    if END not in lines[first:]:
+        raise UserError(f"{path} has no place for the results; add two lines, {BEGIN} and below it {END}")
+    lines[first : lines.index(END, first) + 1] = results_block(sweep)
+    atomic_write(path, "\n".join([*lines, ""]))
