@@ -46,7 +46,7 @@ from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
 from omniocc.task.start import check_resumed, check_weights, load_fitting
-from omniocc.task.step_time import planned_scenes, step_seconds
+from omniocc.task.step_time import planned_scenes, rehearse, step_seconds
 from omniocc.task.stop import StopAtSignal
 
 
@@ -83,6 +83,9 @@ def main(cfg: DictConfig) -> None:
         for line in filter(None, (without_head, line_on_lifter(cfg.model.lifter, data.geometry), *data.remarks())):
             print(line, flush=True)
         announce_plan(cfg, stages, frames)
+    if earlier is not None and not earlier.finished:
+        device = bare_trainer(cfg.trainer).strategy.root_device
+        rehearse(cfg, stages, data.source.scenes("train")[0].rigs[0], data.spec, device)
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"

@@ -3,7 +3,8 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.config import build
-from omniocc.task.step_time import planned_scenes, random_batch, step_seconds
+from omniocc.errors import UserError
+from omniocc.task.step_time import planned_scenes, random_batch, rehearse, step_seconds
 
 
 @pytest.mark.parametrize("stage", ["depth", "sketch", "occupancy"])
@@ -11,6 +12,13 @@ def test_a_step_of_every_stage_takes_time_and_needs_no_data(stage, smoke, spec):
     cfg = smoke("model=extended")
     rig = Rig.load("fisheye6").resized(64, 36)
     assert 0 < step_seconds(cfg, stage, rig, spec, torch.device("cpu"), steps=1) < 60
+
+
+def test_a_part_that_does_not_fit_is_told_by_one_step(smoke, spec, monkeypatch):
+    monkeypatch.setattr("omniocc.model.refiner.UNet.forward", lambda self, volume, sketched: volume[..., 1:])
+    rig = Rig.load("fisheye6").resized(64, 36)
+    with pytest.raises(UserError, match=r"model\.refiner\.\S+ returned features of shape"):
+        rehearse(smoke(), ("depth", "sketch", "occupancy"), rig, spec, torch.device("cpu"))
 
 
 def test_noise_has_the_shapes_of_the_configuration(smoke):

@@ -13,18 +13,18 @@ LEFT_OUT = "test/lidar/left_out"
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
 NOT_RECORDED: Mapping[str, str] = MappingProxyType({})
-SCORES = {"rayiou": "voxel RayIoU", "lidar/rayiou": "surface RayIoU", "voxel": "IoU, mIoU"}
+VOXEL_RAYIOU, SURFACE_RAYIOU = "voxel RayIoU", "surface RayIoU"
+SCORES = {"rayiou": VOXEL_RAYIOU, "lidar/rayiou": SURFACE_RAYIOU, "voxel": "IoU, mIoU"}
 """Titles of the kinds of scores whose protocol is recorded, by the beginning of their keys."""
 ORIGINS = {"past": "past frames", "now": "the frame itself", "future": "future frames"}
 """Titles of the origins of rays that are scored apart, by the end of their keys."""
 
-ROWS = {"test": "model", "prior": "baseline", "label": "upper bound"}
-"""Titles of what is scored, by the beginning of the keys."""
+BASELINE, BOUND = "baseline (no image)", "upper bound (true voxels)"
+ROWS = {"test": "model", "prior": BASELINE, "label": BOUND}
 EXPLANATION = (
-    "Voxel RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m). "
-    "Surface RayIoU compares rays through the predicted voxels with the true surfaces. Baseline: the most frequent "
-    "training class of every voxel. Upper bound: the true voxels, scored as if predicted; its surface RayIoU shows "
-    "what the cells of the grid lose."
+    "Voxel RayIoU compares rays through the predicted and the true voxels, as in the paper (mean over 1, 2, 4 m). "
+    "Surface RayIoU compares the predicted voxels with rays cast at the true surfaces. Baseline: the most frequent "
+    "training class of every voxel. Upper bound: the true voxels; its surface RayIoU shows what the cells lose."
 )
 FIGURE = re.compile(r"[–=]|(?=.*\d)(?:[\s\d.,/()<>%+±*✅☑❌❓–=-]|and|[kM]$)+")
 """What a cell of a column of figures is."""
@@ -40,7 +40,7 @@ def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
     first = next(iter(rows.values()))[0]
     columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]
     titles = [title for title, _ in _bands(first, "test/rayiou_")[1:]]
-    head = ["scored", SCORES["rayiou"], *titles, SCORES["lidar/rayiou"], "IoU", "mIoU"]
+    head = ["voxels", VOXEL_RAYIOU, *titles, SURFACE_RAYIOU, "IoU", "mIoU"]
     return head, [
         [label, *(number(metrics.get(f"{prefix}/{column}")) for column in columns)]
         for label, (metrics, prefix) in rows.items()
@@ -64,9 +64,14 @@ def band_names(metrics: Mapping[str, float]) -> list[str]:
 
 
 def per_class(metrics: Mapping[str, float]) -> Cells:
-    """Return head and rows of RayIoU by class: model and baseline, and both with the upper bound on surfaces."""
-    kinds = [("test", "rayiou"), ("prior", "rayiou"), *((row, "lidar/rayiou") for row in ROWS)]
-    columns = [(f"{ROWS[row]}, {SCORES[kind]}", f"{row}/{kind}") for row, kind in kinds]
+    """Return head and rows of RayIoU by class: model and baseline, and both with the true voxels on LiDAR rays."""
+    columns = [
+        ("model", "test/rayiou"),
+        ("baseline", "prior/rayiou"),
+        ("model, surface", "test/lidar/rayiou"),
+        ("baseline, surface", "prior/lidar/rayiou"),
+        ("upper bound, surface", "label/lidar/rayiou"),
+    ]
     rows = [[name, *(number(metrics.get(f"{key}/{name}")) for _, key in columns)] for name in class_names(metrics)]
     return ["class", *(title for title, _ in columns)], rows
 

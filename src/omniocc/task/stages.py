@@ -83,6 +83,11 @@ class Stages:
         self.folders = {"depth": depth, "sketch": sketch}
         self.results = {"depth": depth, "sketch": self.candidates.folder}
 
+    @property
+    def finished(self) -> bool:
+        """Return whether both stages have their results."""
+        return all((folder / METRICS).exists() for folder in self.results.values())
+
     def run(self, stage: str, title: str) -> dict[str, float]:
         """Run a stage if it is missing and return its test figures."""
         with claimed(self.folders[stage], title) if is_first() else nullcontext():

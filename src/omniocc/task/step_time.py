@@ -1,7 +1,8 @@
-"""The time of a training step of every stage on this machine, measured on random inputs: no data are needed."""
+"""Training steps of every stage on random inputs: their time on this machine, and whether the parts fit together."""
 
 import time
 import warnings
+from collections.abc import Sequence
 from typing import cast
 
 import torch
@@ -10,10 +11,10 @@ from torch import Tensor
 
 from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
-from omniocc.config import build, plain
+from omniocc.config import build, plain, target_of
 from omniocc.data import SceneSource, SourceSpec, VirtualWorld
 from omniocc.data.source.cameras import training_rig
-from omniocc.model.protocols import Depth
+from omniocc.model.protocols import Depth, learns
 from omniocc.task.build import build_task
 from omniocc.task.depth import DepthTask
 from omniocc.task.sketch import SketchTask
@@ -30,21 +31,42 @@ def step_seconds(
 ) -> float:
     """Return the seconds of a step: the best of `steps`, after others that warm up; reading samples is not included.
 
+    Other arguments are those of `train_on_noise`.
+    """
+    return min(train_on_noise(cfg, stage, rig, spec, device, WARM_UP + steps)[WARM_UP:])
+
+
+def rehearse(cfg: DictConfig, stages: Sequence[str], rig: Rig, spec: SourceSpec, device: torch.device) -> None:
+    """Train one step of every stage on noise, so that parts that do not fit together fail before hours of training.
+
+    Raises:
+        UserError: naming the part of the model whose output has a wrong shape.
+    """
+    for stage in stages:
+        if stage != "depth" or learns(target_of(cfg.depth)):
+            train_on_noise(cfg, stage, rig, spec, device, 1)
+
+
+def train_on_noise(
+    cfg: DictConfig, stage: str, rig: Rig, spec: SourceSpec, device: torch.device, steps: int
+) -> list[float]:
+    """Train a stage from nothing on random samples, and return the seconds of every step.
+
     Args:
         cfg: checked configuration.
         stage: depth, sketch or occupancy.
         rig: cameras of every sample.
         spec: of the data.
         device: on which the stage is trained.
-        steps: measured, at least 1.
+        steps: of the optimizer.
     """
     task = make_task(cfg, stage, rig, spec).to(device).train()
     size = cfg.data.batch_size if stage == "occupancy" else cfg.stages[stage].batch_size
     batch = to_device(random_batch(cfg, rig, size, cfg.data.window if stage == "occupancy" else 1), device)
-    optimizer = task.optimizer.configure(task.model, WARM_UP + steps)["optimizer"]
+    optimizer = task.optimizer.configure(task.model, steps)["optimizer"]
     low = str(cfg.trainer.precision).startswith("bf16")
-    best = float("inf")
-    for number in range(WARM_UP + steps):
+    seconds = []
+    for number in range(steps):
         start_s = time.perf_counter()
         with warnings.catch_warnings(), torch.autocast(device.type, torch.bfloat16, enabled=low):
             warnings.filterwarnings("ignore", message=".*self.log.*")  # there is no trainer
@@ -54,8 +76,8 @@ def step_seconds(
         optimizer.zero_grad()
         if device.type == "cuda":
             torch.cuda.synchronize(device)
-        best = min(best, time.perf_counter() - start_s) if number >= WARM_UP else best
-    return best
+        seconds.append(time.perf_counter() - start_s)
+    return seconds
 
 
 def make_task(cfg: DictConfig, stage: str, rig: Rig, spec: SourceSpec) -> StageTask:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun, grid_name
-from omniocc.run.table import ROWS, SCORES, Cells, number, titled
+from omniocc.run.table import SCORES, Cells, number
 
 TITLE = "Baseline and upper bound"
 NOTE = (
@@ -12,8 +12,8 @@ NOTE = (
     "more in a class, since the class with the most points in a cell is not what every ray meets there."
 )
 COLUMNS = {
-    f"{titled(ROWS[row])}, {SCORES[kind]}": f"{row}/{kind}"
-    for row in ("prior", "label")
+    f"{title}, {SCORES[kind]}": f"{row}/{kind}"
+    for row, title in {"prior": "Baseline", "label": "Upper bound"}.items()
     for kind in ("rayiou", "lidar/rayiou")
 }
 

@@ -12,13 +12,12 @@ from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.protocol import counted_alike
 from omniocc.report.tables.streets import error_over_streets
-from omniocc.run.table import SCORES
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05
 """Largest probability in a family of a wrong 'holds' or 'opposite sign', and of a wrong 'smaller'."""
-VOXEL, SURFACE = SCORES["rayiou"], SCORES["lidar/rayiou"]
-JUDGES = {VOXEL: "test/", SURFACE: "test/lidar/"}
+JUDGES = {VOXEL_RAYIOU: "test/", SURFACE_RAYIOU: "test/lidar/"}
 """Beginning of the keys of the scores of each of the two metrics."""
 HOLDS, AGAINST, UNDECIDED = "holds", "does not hold", "undecided"
 
@@ -77,7 +76,7 @@ class Judged(NamedTuple):
 
 def metric_of(table: PaperTable, judge: str) -> str | None:
     """Return the key of a metric's scores in which the claims of a table are decided; None if it has none."""
-    if judge == VOXEL:
+    if judge == VOXEL_RAYIOU:
         return table.order_by
     return table.order_by.replace("test/", JUDGES[judge], 1) if table.order_by.startswith("test/rayiou") else None
 

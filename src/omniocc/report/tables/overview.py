@@ -8,7 +8,7 @@ from omniocc.report.tables.formats import csv_text, exact
 from omniocc.run.cost import PEAK
 from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
-from omniocc.run.table import SCORES, Cells, band_keys, number
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_keys, number
 
 FACTS = {
     "seed": "seed", "preset": "preset", "data": "fingerprint of the data", "steps": "steps", MINUTES: "minutes",
@@ -26,7 +26,7 @@ def overview_keys(runs: Sequence[FinishedRun]) -> list[str]:
 def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
     """Return head and rows: run, seed, steps, voxel RayIoU, its distance bands, surface RayIoU, mIoU."""
     names = [band.removeprefix("rayiou_") for band in band_keys(runs[0].metrics)]
-    head = ["run", "seed", "steps", SCORES["rayiou"], *names, SCORES["lidar/rayiou"], "mIoU"]
+    head = ["run", "seed", "steps", VOXEL_RAYIOU, *names, SURFACE_RAYIOU, "mIoU"]
     rows = []
     for run in runs:
         facts = [str(run.facts.get(key, "–")) for key in ("seed", "steps")]
@@ -37,8 +37,8 @@ def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
 def records(runs: Sequence[FinishedRun]) -> str:
     """Return CSV of how runs were made and what they scored, by name."""
     bands = list(dict.fromkeys(key for run in runs for key in band_keys(run.metrics)))
-    scores = {"rayiou": SCORES["rayiou"], **{key: f"{SCORES['rayiou']}, {key.partition('_')[2]}" for key in bands}}
-    scores |= {"lidar/rayiou": SCORES["lidar/rayiou"], "voxel/iou": "IoU", "voxel/miou": "mIoU"}
+    scores = {"rayiou": VOXEL_RAYIOU, **{key: f"{VOXEL_RAYIOU}, {key.partition('_')[2]}" for key in bands}}
+    scores |= {"lidar/rayiou": SURFACE_RAYIOU, "voxel/iou": "IoU", "voxel/miou": "mIoU"}
     lines = []
     for run in sorted(runs, key=lambda run: run.name):
         facts = [str(run.facts.get(key, "")) for key in FACTS]

@@ -10,10 +10,11 @@ from scipy import stats
 from omniocc.errors import UserError
 from omniocc.io import read_yaml
 from omniocc.report.runs import RAY_IOU
-from omniocc.report.tables.claims import LEVEL, VOXEL, Rows, pairs_of, planned_claims, rows_of_claims, title_of
+from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, rows_of_claims, title_of
 from omniocc.report.tables.formats import csv_text, exact
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
+from omniocc.run.table import VOXEL_RAYIOU
 
 WANTED = 0.8
 """Probability with which a gap of the paper's size is to be found."""
@@ -85,7 +86,7 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | No
 
 def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
     """Return the claims of all tables in the metric of their tables, each once, whether its rows have run or not."""
-    return [_wanted(*claim, rows) for claim in planned_claims(tables, VOXEL)]
+    return [_wanted(*claim, rows) for claim in planned_claims(tables, VOXEL_RAYIOU)]
 
 
 def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:

@@ -12,7 +12,6 @@ from omniocc.report.tables.claims import (
     HOLDS,
     JUDGES,
     UNDECIDED,
-    VOXEL,
     Judged,
     planned_claims,
     rows_in,
@@ -20,7 +19,7 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.paper import NUMERALS, PaperTable, figure_of, has_paper
 from omniocc.report.tables.training import Planned, by_steps, decided_in
-from omniocc.run.table import markdown, number
+from omniocc.run.table import VOXEL_RAYIOU, markdown, number
 
 COMMAND = "python src/report.py --runs docs/results/runs --docs docs/results"
 """What writes the documentation's pages of results, and the block in the README."""
@@ -87,7 +86,7 @@ def results_lines(sweep: Sweep) -> list[str]:
     Raises:
         UserError: if a table gives the reason of something that it does not claim.
     """
-    claims = planned_claims(of_paper(sweep), VOXEL)
+    claims = planned_claims(of_paper(sweep), VOXEL_RAYIOU)
     if not claims:
         return []
     longest = list(by_steps(sweep).values())[1:][-1:]

@@ -8,10 +8,9 @@ import numpy as np
 
 from omniocc.report.runs import HASH
 from omniocc.report.tables.budget import named
-from omniocc.report.tables.claims import SURFACE, VOXEL
 from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind, relative_drop
-from omniocc.run.table import Cells, in_columns, number
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, in_columns, number
 
 TITLE = "What breaks them"
 NOTE = (
@@ -20,7 +19,7 @@ NOTE = (
     "A system that scores little has little to lose, so the last line has the RayIoU after the mean loss."
 )
 PARTS_NOTE = "In brackets: the standard error over scenes (jackknife)."
-SCORES = {"rayiou": VOXEL, "lidar/rayiou": SURFACE, "voxel/iou": "IoU", "voxel/miou": "mIoU"}
+SCORES = {"rayiou": VOXEL_RAYIOU, "lidar/rayiou": SURFACE_RAYIOU, "voxel/iou": "IoU", "voxel/miou": "mIoU"}
 
 
 def names_of(records: Sequence[Robustness]) -> list[str]:
@@ -66,13 +65,13 @@ def relative_cells(records: Sequence[Robustness], names: Sequence[str] = ()) -> 
         each = [drops_by_kind(record, parts) for record in members]
         drops.append({group: statistics.mean(one[group] for one in each) for group in each[0]})
         undisturbed.append(statistics.mean(one.undisturbed.scores.get("rayiou", math.nan) for one in members))
-    rows = [[f"undisturbed {VOXEL}", *map(number, undisturbed)]]
+    rows = [[f"undisturbed {VOXEL_RAYIOU}", *map(number, undisturbed)]]
     rows += [[group.replace("_", " "), *_least_bold([one[group] for one in drops])] for group in drops[0]]
     if drops[0]:
         means = [mean_drop(one) for one in drops]
         left = [score * (1 - mean) for score, mean in zip(undisturbed, means, strict=True)]
-        rows += [["mean of all kinds", *_least_bold(means)], [f"{VOXEL} after it", *map(number, left)]]
-    return [f"Loss of {VOXEL}, %", *columns], rows
+        rows += [["mean of all kinds", *_least_bold(means)], [f"{VOXEL_RAYIOU} after it", *map(number, left)]]
+    return [f"Loss of {VOXEL_RAYIOU}, %", *columns], rows
 
 
 def mean_drop(drops: dict[str, float]) -> float:
@@ -95,7 +94,7 @@ def part_cells(records: Sequence[Robustness]) -> Cells:
     for name in names:
         found = [next((part for part in record.disturbed if part.part == name), None) for record in records]
         rows.append([name, *(_drop(part, record) for part, record in zip(found, records, strict=True))])
-    return [f"loss of {VOXEL}", *names_of(records)], rows
+    return [f"loss of {VOXEL_RAYIOU}", *names_of(records)], rows
 
 
 def report_parts(records: Sequence[Robustness]) -> list[Part]:
@@ -141,11 +140,11 @@ def robustness_csv(records: Sequence[Robustness], names: Mapping[str, str]) -> s
     Where the test comes from stands in the first line of each system, the undisturbed one.
     """
     keys = list(dict.fromkeys(key for record in records for key in record.undisturbed.scores))
-    titles = [SCORES.get(key) or f"{VOXEL} within {key.removeprefix(WITHIN)}" for key in keys]
+    titles = [SCORES.get(key) or f"{VOXEL_RAYIOU} within {key.removeprefix(WITHIN)}" for key in keys]
     facts = {"seed": "seed of the disturbances", "command": "command", "commit": "commit", "machine": "machine"}
     head = ["system", "method", "training", "kind of disturbance", "disturbance", "scenes", "frames", "seconds"]
     head += [f"{title}{column}" for title in titles for column in ("", ", loss", ", standard error over scenes")]
-    head += [f"relative loss of {VOXEL}", *facts.values(), "left out"]
+    head += [f"relative loss of {VOXEL_RAYIOU}", *facts.values(), "left out"]
     lines = []
     for record in records:
         row = HASH.sub("", record.system)

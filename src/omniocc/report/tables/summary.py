@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 from omniocc.errors import shortened
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables.claims import JUDGES, VOXEL
+from omniocc.report.tables.claims import JUDGES
 from omniocc.report.tables.paper import figure_of, method_names, with_error
 from omniocc.report.tables.verdicts import claim_lines
-from omniocc.run.table import markdown
+from omniocc.run.table import VOXEL_RAYIOU, markdown
 
 KEYS = {f"{start}rayiou": title for title, start in JUDGES.items()}
 REMARKS, ROWS, WIDTH = 4, 10, 300
@@ -29,7 +29,7 @@ def summary(sweep: Sweep) -> str:
     cells = [[row, names.get(row, "–"), str(len(runs)), *map(with_error, KEYS, found)] for row, runs, found in ranked]
     table = markdown(["row", "method", "seeds", *KEYS.values()], cells).splitlines()
     lines = claim_lines(sweep.tables, sweep.table_rows, sweep.claims)
-    verdicts = Counter(line.verdict for line in lines if line.judge == VOXEL)
-    claims = f"Claims by {VOXEL}: {', '.join(f'{verdict} {count}' for verdict, count in verdicts.items())}."
+    verdicts = Counter(line.verdict for line in lines if line.judge == VOXEL_RAYIOU)
+    claims = f"Claims by {VOXEL_RAYIOU}: {', '.join(f'{verdict} {count}' for verdict, count in verdicts.items())}."
     remarks = first_lines([shortened(remark, WIDTH) for remark in sweep.remarks], REMARKS, "remarks")
     return "\n".join([*remarks, "", *first_lines(table, 2 + ROWS, "rows"), "", claims if verdicts else ""]).rstrip()

@@ -12,15 +12,15 @@ from omniocc.report.tables.formats import csv_text
 from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
-from omniocc.run.table import SCORES, Cells, band_names
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_names
 
-LAST = {"val/lidar/rayiou": SCORES["lidar/rayiou"], "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
+LAST = {"val/lidar/rayiou": SURFACE_RAYIOU, "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
 
 
 def columns_of(runs: Sequence[FinishedRun]) -> dict[str, str]:
     """Return the titles of the columns by the keys of their figures, with the bands of distance of the runs."""
     bands = dict.fromkeys(band for run in runs for band in band_names(run.metrics))
-    return {"val/rayiou": SCORES["rayiou"]} | {f"val/rayiou_{band}": band.replace("m", " m") for band in bands} | LAST
+    return {"val/rayiou": VOXEL_RAYIOU} | {f"val/rayiou_{band}": band.replace("m", " m") for band in bands} | LAST
 
 
 def tried_csv(runs: Sequence[FinishedRun], reference: str) -> str:
