@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 
 from omniocc.config import check_root, compose_plain
 from omniocc.run.results import EARLIER_MINUTES, MINUTES, save_results
+from omniocc.run.table import BASELINE, BOUND
 from omniocc.run.weights import pack_weights
 
 ROOT = Path(__file__).parents[1]
@@ -56,9 +57,9 @@ def test_without_weights_every_stage_is_trained(ran, monkeypatch, tmp_path, caps
     assert ran == [["train.py", "name=demo", "model=extended", "preset=tiny"], view]
     lines = capsys.readouterr().out.strip().splitlines()
     assert [line.split("  ")[0] for line in lines[1:4]] == [
-        "prior (baseline)",
+        BASELINE,
         "trained here, 3 min",
-        "label (true voxels)",
+        BOUND,
     ]
     assert lines[-2] == "images    runs/demo-1/images"
     assert lines[-1].startswith("page      runs/demo-1/view.html")

@@ -110,10 +110,10 @@ def test_the_card_of_a_whole_chain_has_scores_by_distance_and_class():
     others = {"val/rayiou": 0.6, "test/lidar/rayiou/Pole": 0.1}
     text = card("tiny", {"good_for": "demos"}, {"steps": 3}, metrics | others, {"test/voxel/miou": 0.123456})
     for row in (
-        "| RayIoU | 0.500 |",
-        "| RayIoU, 17-25.6 m | 0.300 |",
-        "| RayIoU, Pole | 0.200 |",
-        "| RayIoU, LiDAR | 0.300 |",
+        "| voxel RayIoU | 0.500 |",
+        "| voxel RayIoU, 17-25.6 m | 0.300 |",
+        "| voxel RayIoU, Pole | 0.200 |",
+        "| surface RayIoU | 0.300 |",
         "| voxel mIoU | 0.1235 |",
     ):
         assert row in text

@@ -16,7 +16,7 @@ from omniocc.io import atomic_write
 from omniocc.run.folder import IMAGES, METRICS
 from omniocc.run.results import EARLIER_MINUTES, MINUTES, load_results
 from omniocc.run.script import quiet_libraries
-from omniocc.run.table import compared, in_columns, markdown
+from omniocc.run.table import BASELINE, BOUND, compared, in_columns, markdown
 from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped
 from omniocc.viewer.page import PAGE
 
@@ -63,12 +63,12 @@ def rows_of(folder: Path, other: Path | None) -> dict[str, tuple[dict[str, float
     """Return the rows of the table: baseline, trained here, weights in the package, true voxels."""
     facts, metrics = load_results(folder)
     minutes = facts[MINUTES] + facts.get(EARLIER_MINUTES, 0)
-    rows = {"prior (baseline)": (metrics, "prior"), f"trained here, {minutes:.0f} min": (metrics, "test")}
+    rows = {BASELINE: (metrics, "prior"), f"trained here, {minutes:.0f} min": (metrics, "test")}
     if other is not None:
         made = read_weights(SHIPPED / f"{WEIGHTS}{SUFFIX}")[1]
         hours = (made.get(MINUTES, 0) + made.get(EARLIER_MINUTES, 0)) / 60
         rows[f"weights '{WEIGHTS}' in the package, {hours:.0f} h"] = (load_results(other)[1], "test")
-    return {**rows, "label (true voxels)": (metrics, "label")}
+    return {**rows, BOUND: (metrics, "label")}
 
 
 def main(preset: str, full: bool) -> None:

@@ -127,9 +127,9 @@ def test_only_figures_that_occur_can_be_chosen(open_page, made):
     """Frames have RayIoU and IoU; their mIoU is unknown."""
     page = open_page(made[1])
     figures = "[...document.querySelector('#worst select').options].map(option => option.text)"
-    assert page.js(figures) == ["RayIoU", "IoU"]
+    assert page.js(figures) == ["voxel RayIoU", "IoU"]
     page.page.locator("#worst select").first.select_option("IoU")
-    assert page.js(figures) == ["RayIoU", "IoU"]
+    assert page.js(figures) == ["voxel RayIoU", "IoU"]
 
 
 def test_play_goes_on_by_itself_and_stops(open_page, made):

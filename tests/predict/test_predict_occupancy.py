@@ -119,7 +119,7 @@ def test_recorded_frames_give_labels_and_scores_of_evaluation(evaluated, scene, 
     assert {key: np.nan if value is None else value for key, value in metrics.items()} == pytest.approx(
         figures, nan_ok=True
     )
-    assert f"5 frames: RayIoU {figures['test/rayiou']:.3f}" in capsys.readouterr().out
+    assert f"5 frames: voxel RayIoU {figures['test/rayiou']:.3f}" in capsys.readouterr().out
 
 
 def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path, capsys, run):

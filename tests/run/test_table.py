@@ -22,9 +22,9 @@ def test_a_cell_stays_one_cell_and_one_line():
 
 def test_bands_stand_in_order_of_distance():
     head, rows = summary(METRICS)
-    assert head == ["", "RayIoU", "0-8.5 m", "8.5-17 m", "17-25.6 m", "RayIoU, LiDAR", "IoU", "mIoU"]
+    assert head == ["voxels", "voxel RayIoU", "0-8.5 m", "8.5-17 m", "17-25.6 m", "surface RayIoU", "IoU", "mIoU"]
     assert rows[0] == ["model", "0.250", "0.400", "0.200", "0.100", "–", "–", "–"]
-    assert rows[2][:2] == ["label (true voxels)", "1.000"]
+    assert rows[2][:2] == ["upper bound (true voxels)", "1.000"]
     assert rows[2][5] == "0.600"
 
 
@@ -45,7 +45,7 @@ def test_results_survive_the_file(tmp_path):
     assert (tmp_path / "table.md").read_text().startswith("seed 3\n"), "lists and mappings are no caption"
     assert math.isnan(loaded.pop("test/rayiou/Pedestrian"))
     assert loaded == {key: value for key, value in METRICS.items() if key != "test/rayiou/Pedestrian"}
-    assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n|  | RayIoU |")
+    assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n| voxels | voxel RayIoU |")
 
 
 PROTOCOL = {"voxel": "cells", "rayiou": "rays from here", "lidar/rayiou": "LiDAR rays"}
@@ -53,7 +53,7 @@ PROTOCOL = {"voxel": "cells", "rayiou": "rays from here", "lidar/rayiou": "LiDAR
 
 def test_the_tables_say_how_scores_were_counted(tmp_path, capsys):
     save_results(tmp_path, METRICS, {"seed": 3, "protocol": PROTOCOL})
-    lines = ["RayIoU: rays from here.", "RayIoU, LiDAR: LiDAR rays.", "IoU, mIoU: cells."]
+    lines = ["voxel RayIoU: rays from here.", "surface RayIoU: LiDAR rays.", "IoU, mIoU: cells."]
     text = (tmp_path / "table.md").read_text()
     assert text.startswith("seed 3\n")
     assert text.endswith("\n\n".join(lines) + "\n")
@@ -78,7 +78,7 @@ def test_scores_by_origin_have_a_table():
     metrics |= {"prior/rayiou_past": 0.1, "prior/rayiou_now": 0.15, "prior/rayiou_future": 0.05}
     assert summary(metrics) == summary(METRICS), "times are no distance bands"
     assert by_origin(metrics) == (
-        ["RayIoU from", "model", "prior (baseline)", "label (true voxels)"],
+        ["RayIoU from", "model", "baseline (no image)", "upper bound (true voxels)"],
         [
             ["past frames", "0.200", "0.100", "–"],
             ["the frame itself", "0.300", "0.150", "–"],

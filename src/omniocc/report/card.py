@@ -24,7 +24,12 @@ def card(
     lines = [f"# {name}", "", f"Good for {purpose['good_for']}.", ""]
     if purpose.get("not_good_for"):
         lines += [f"Not good for {purpose['not_good_for']}.", ""]
-    lines += ["| made by | |", "|---|---|", *(f"| {key} | {_code(key, value)} |" for key, value in facts.items()), ""]
+    lines += [
+        "| made by | value |",
+        "|---|---|",
+        *(f"| {key} | {_code(key, value)} |" for key, value in facts.items()),
+        "",
+    ]
     sections = {"Scores on unseen scenes": score_rows(metrics), "Errors of range": depth_rows(metrics)}
     sections["On the four frames of the tests"] = frame_rows(on_frames)
     for title, rows in sections.items():
@@ -58,12 +63,12 @@ def _table(rows: list[tuple[str, float]], digits: int) -> list[str]:
     if not rows:
         return []
     body = [f"| {title} | {'-' if math.isnan(value) else f'{value:.{digits}f}'} |" for title, value in rows]
-    return ["| | |", "|---|---:|", *body]
+    return ["| figure | value |", "|---|---:|", *body]
 
 
 def _title(key: str) -> str:
     """Return words for a key of metrics."""
-    words = {"test/rayiou": "RayIoU", "test/lidar/rayiou": "RayIoU, LiDAR", "test/voxel/iou": "voxel IoU"}
+    words = {"test/rayiou": "voxel RayIoU", "test/lidar/rayiou": "surface RayIoU", "test/voxel/iou": "voxel IoU"}
     words |= {"test/voxel/miou": "voxel mIoU", "test/depth/mae": "MAE, m", "test/depth/coverage": "with an answer"}
     for start, title in words.items():
         if key.startswith(start):

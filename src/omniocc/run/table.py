@@ -13,16 +13,18 @@ LEFT_OUT = "test/lidar/left_out"
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
 NOT_RECORDED: Mapping[str, str] = MappingProxyType({})
-SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "RayIoU, LiDAR", "voxel": "IoU, mIoU"}
+VOXEL_RAYIOU, SURFACE_RAYIOU = "voxel RayIoU", "surface RayIoU"
+SCORES = {"rayiou": VOXEL_RAYIOU, "lidar/rayiou": SURFACE_RAYIOU, "voxel": "IoU, mIoU"}
 """Titles of the kinds of scores whose protocol is recorded, by the beginning of their keys."""
 ORIGINS = {"past": "past frames", "now": "the frame itself", "future": "future frames"}
 """Titles of the origins of rays that are scored apart, by the end of their keys."""
 
-ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (true voxels)"}
+BASELINE, BOUND = "baseline (no image)", "upper bound (true voxels)"
+ROWS = {"test": "model", "prior": BASELINE, "label": BOUND}
 EXPLANATION = (
-    "RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' "
-    "compares the same voxels with true LiDAR rays. prior: the most frequent training class of every voxel. label: the "
-    "true voxels themselves, so its LiDAR column shows what the cells of the grid lose."
+    "Voxel RayIoU compares rays through the predicted and the true voxels, as in the paper (mean over 1, 2, 4 m). "
+    "Surface RayIoU compares the predicted voxels with rays cast at the true surfaces. Baseline: the most frequent "
+    "training class of every voxel. Upper bound: the true voxels; its surface RayIoU shows what the cells lose."
 )
 
 
@@ -36,7 +38,7 @@ def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
     first = next(iter(rows.values()))[0]
     columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]
     titles = [title for title, _ in _bands(first, "test/rayiou_")[1:]]
-    head = ["", "RayIoU", *titles, "RayIoU, LiDAR", "IoU", "mIoU"]
+    head = ["voxels", VOXEL_RAYIOU, *titles, SURFACE_RAYIOU, "IoU", "mIoU"]
     return head, [
         [label, *(number(metrics.get(f"{prefix}/{column}")) for column in columns)]
         for label, (metrics, prefix) in rows.items()
@@ -63,10 +65,10 @@ def per_class(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows of RayIoU by class: model and baseline, and both with the true voxels on LiDAR rays."""
     columns = [
         ("model", "test/rayiou"),
-        ("prior", "prior/rayiou"),
-        ("model, LiDAR", "test/lidar/rayiou"),
-        ("prior, LiDAR", "prior/lidar/rayiou"),
-        ("label, LiDAR", "label/lidar/rayiou"),
+        ("baseline", "prior/rayiou"),
+        ("model, surface", "test/lidar/rayiou"),
+        ("baseline, surface", "prior/lidar/rayiou"),
+        ("upper bound, surface", "label/lidar/rayiou"),
     ]
     rows = [[name, *(number(metrics.get(f"{key}/{name}")) for _, key in columns)] for name in class_names(metrics)]
     return ["class", *(title for title, _ in columns)], rows

@@ -34,6 +34,6 @@ def test_runs_are_grouped_by_stage_and_row():
 
 def test_classes_and_bands_are_those_of_the_run():
     charts = {(section, chart.title): chart.keys for section, part in SECTIONS.items() for chart in part}
-    assert charts["by class", "RayIoU"] == ("test/rayiou/tree", "test/rayiou/car")
-    assert charts["by range", "RayIoU"] == ("test/rayiou_0-20m", "test/rayiou_20-40m")
+    assert charts["by class", "voxel RayIoU"] == ("test/rayiou/tree", "test/rayiou/car")
+    assert charts["by range", "voxel RayIoU"] == ("test/rayiou_0-20m", "test/rayiou_20-40m")
     assert charts["depth and sketch", "depth: AbsRel"] == ("test/depth/absrel_0-20m", "test/depth/absrel_20-40m")

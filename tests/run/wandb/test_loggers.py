@@ -152,7 +152,7 @@ def test_images_points_and_tables_are_saved_as_files(resumed):
     assert points["boxes"][0]["label"] == "own car"
     (tables,) = [row for row in history(files_of(resumed)[1]) if "tables/by_class" in row]
     table = json.loads((folder / tables["tables/by_class"]["path"]).read_text())
-    assert table["columns"] == ["class", "RayIoU"]
+    assert table["columns"] == ["class", "voxel RayIoU"]
     assert table["data"][0] == ["Road", 0.5]
     assert tables["tables/by_range"]["nrows"] == 1
 

@@ -7,12 +7,12 @@ def test_tables_have_the_columns_that_were_measured():
     metrics = {"test/rayiou/Road": 0.5, "test/rayiou/Pole": nan, "test/rayiou": 0.3, "test/rayiou_8.5-17m": 0.2}
     tables = result_tables(metrics | {"test/depth/mae_0-8.5m": 1.5, "val/rayiou/Road": 1.0})
     by_class = tables["tables/by_class"]
-    assert by_class.columns == ["class", "RayIoU"]
+    assert by_class.columns == ["class", "voxel RayIoU"]
     assert by_class.rows[0] == ["Road", 0.5]
     assert dict(map(tuple, by_class.rows))["Pole"] is None
     assert len(by_class.rows) == 2
     by_range = tables["tables/by_range"]
-    assert by_range.columns == ["range", "RayIoU", "depth: MAE, m"]
+    assert by_range.columns == ["range", "voxel RayIoU", "depth: MAE, m"]
     assert by_range.rows == [["0-8.5m", None, 1.5], ["8.5-17m", 0.2, None]]
 
 

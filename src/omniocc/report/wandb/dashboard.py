@@ -44,23 +44,23 @@ def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
     classes, bands = class_names(metrics), band_names(metrics)
     return {
         "compare rows": (
-            Chart("bars", "RayIoU", ("test/rayiou",)),
+            Chart("bars", "voxel RayIoU", ("test/rayiou",)),
             Chart("bars", "RayIoU by threshold", each("test/rayiou@{}", ("1", "2", "4"))),
-            Chart("bars", "RayIoU against LiDAR rays", ("test/lidar/rayiou",)),
+            Chart("bars", "surface RayIoU", ("test/lidar/rayiou",)),
             Chart("bars", "voxel IoU and mIoU", ("test/voxel/iou", "test/voxel/miou")),
-            Chart("bars", "baseline: prior; true voxels on LiDAR rays: label", ("prior/rayiou", "label/lidar/rayiou")),
+            Chart("bars", "baseline, voxel; upper bound, surface RayIoU", ("prior/rayiou", "label/lidar/rayiou")),
             Chart("lines", "RayIoU of validation", ("val/rayiou",)),
             Chart("lines", "loss", ("train/loss",)),
         ),
         "by range": (
-            Chart("bars", "RayIoU", each("test/rayiou_{}", bands)),
-            Chart("bars", "RayIoU against LiDAR rays", each("test/lidar/rayiou_{}", bands)),
+            Chart("bars", "voxel RayIoU", each("test/rayiou_{}", bands)),
+            Chart("bars", "surface RayIoU", each("test/lidar/rayiou_{}", bands)),
             Chart("lines", "RayIoU of validation", each("val/rayiou_{}", bands)),
             Chart("table", "by range", ("tables/by_range",)),
         ),
         "by class": (
-            Chart("bars", "RayIoU", each("test/rayiou/{}", classes)),
-            Chart("bars", "RayIoU against LiDAR rays", each("test/lidar/rayiou/{}", classes)),
+            Chart("bars", "voxel RayIoU", each("test/rayiou/{}", classes)),
+            Chart("bars", "surface RayIoU", each("test/lidar/rayiou/{}", classes)),
             Chart("bars", "voxel IoU", each("test/voxel/iou/{}", classes)),
             Chart("table", "by class", ("tables/by_class",)),
         ),

@@ -16,16 +16,16 @@ class ResultTable(NamedTuple):
 
 
 BY_CLASS = {
-    "RayIoU": "test/rayiou/{}",
-    "RayIoU, LiDAR": "test/lidar/rayiou/{}",
+    "voxel RayIoU": "test/rayiou/{}",
+    "surface RayIoU": "test/lidar/rayiou/{}",
     "IoU": "test/voxel/iou/{}",
-    "prior: RayIoU": "prior/rayiou/{}",
-    "label: RayIoU, LiDAR": "label/lidar/rayiou/{}",
+    "baseline: voxel RayIoU": "prior/rayiou/{}",
+    "upper bound: surface RayIoU": "label/lidar/rayiou/{}",
 }
 BY_RANGE = {
-    "RayIoU": "test/rayiou_{}",
-    "RayIoU, LiDAR": "test/lidar/rayiou_{}",
-    "prior: RayIoU": "prior/rayiou_{}",
+    "voxel RayIoU": "test/rayiou_{}",
+    "surface RayIoU": "test/lidar/rayiou_{}",
+    "baseline: voxel RayIoU": "prior/rayiou_{}",
     "depth: MAE, m": "test/depth/mae_{}",
     "depth: AbsRel": "test/depth/absrel_{}",
     "sketch: recall": "test/sketch/recall_{}",

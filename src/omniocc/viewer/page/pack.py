@@ -28,13 +28,13 @@ RANGE_COLORS = 25
 CAR_ROAD_Z_M = -2.2
 """Height of the road that the boxes of the ego car stand on, and of one that is not known."""
 FIGURES = {
-    "rayiou": "RayIoU",
+    "rayiou": "voxel RayIoU",
     "iou": "IoU",
     "miou": "mIoU",
     "rayiou@1": "RayIoU, 1 m",
     "rayiou@2": "RayIoU, 2 m",
     "rayiou@4": "RayIoU, 4 m",
-    "lidar/rayiou": "RayIoU, LiDAR",
+    "lidar/rayiou": "surface RayIoU",
 }
 """Figures of a frame that the page shows, and their names."""
 
