@@ -86,7 +86,7 @@ def test_a_table_of_ones_own_has_rows_overrides_and_seeds(tmp_path):
 def test_a_row_of_a_table_can_be_chosen():
     assert jobs("+sweep=rivals", "+row=fosocc") == ["model=fosocc name=fosocc"]
     rows = ["+ablation=ours", "+ablation=wo_refine", "+ablation=voxformer_pinhole"]
-    assert jobs("+sweep=refine,comparison", "+row=voxformer_pinhole@same,ours,wo_refine") == rows
+    assert jobs("+sweep=refine,comparison", "+row=voxformer_pinhole,ours,wo_refine") == rows
 
 
 def test_without_a_table_the_sweeper_is_that_of_hydra():

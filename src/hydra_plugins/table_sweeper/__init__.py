@@ -36,7 +36,7 @@ class TableSweeper(BasicSweeper):
         (jobs,) = BasicSweeper.split_arguments(others, None)
         if names:
             tables = [self._table(name) for name in names]
-            known = [row for table in tables for row in table["rows"]]
+            known = [row.partition("@")[0] for table in tables for row in table["rows"]]
             if gone := [row for row in chosen if row not in known]:
                 raise UserError(
                     f"{ROW}={gone[0]}: there is no such row in {', '.join(names)}; choose {', '.join(known)}"
@@ -45,7 +45,7 @@ class TableSweeper(BasicSweeper):
             if seeds and not any(other.get_key_element() == "seed" for other in others):
                 jobs = [[*job, f"seed={seed}"] for job in jobs for seed in seeds]
             for table in tables if chosen else ():
-                table["rows"] = {key: row for key, row in table["rows"].items() if key in chosen}
+                table["rows"] = {key: row for key, row in table["rows"].items() if key.partition("@")[0] in chosen}
             rows = [row for table in tables for row in jobs_of(table, self._known)]
             once = [row for number, row in enumerate(rows) if row not in rows[:number]]
             jobs = [[*row, *job] for row in once for job in jobs]
