@@ -84,11 +84,9 @@ def test_a_table_of_ones_own_has_rows_overrides_and_seeds(tmp_path):
 
 
 def test_a_row_of_a_table_can_be_chosen():
-    assert jobs("+sweep=rivals/fosocc,refine/ours,comparison/voxformer_pinhole") == [
-        "model=fosocc name=fosocc",
-        "+ablation=ours",
-        "+ablation=voxformer_pinhole",
-    ]
+    assert jobs("+sweep=rivals", "+row=fosocc") == ["model=fosocc name=fosocc"]
+    rows = ["+ablation=ours", "+ablation=wo_refine", "+ablation=voxformer_pinhole"]
+    assert jobs("+sweep=refine,comparison", "+row=voxformer_pinhole,ours,wo_refine") == rows
 
 
 def test_without_a_table_the_sweeper_is_that_of_hydra():
@@ -98,8 +96,8 @@ def test_without_a_table_the_sweeper_is_that_of_hydra():
 def test_mistakes_are_named():
     with pytest.raises(UserError, match=r"\+sweep=refin: there is no such table"):
         jobs("+sweep=refin,sketch")
-    with pytest.raises(UserError, match=r"\+sweep=refine/mono: the table has no such row; it has ours, refine_att"):
-        jobs("+sweep=refine/mono")
+    with pytest.raises(UserError, match=r"\+row=mono: there is no such row in refine; choose ours, refine_att"):
+        jobs("+sweep=refine", "+row=mono")
     with pytest.raises(UserError, match="row gone has no overrides, and neither conf/ablation nor another table has"):
         jobs_of({"rows": {"gone": {"title": "a"}}}, {})
 
