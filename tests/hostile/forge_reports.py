@@ -30,7 +30,6 @@ def openings(box: Box, names: tuple[str, ...], expect: str, seed: float) -> list
     runs, out = box.given / "runs", box.out
     found = [
         Opening(("report.py", "--runs", str(runs), "--output", str(out / "report")), expect, names, page_is_safe),
-        Opening(("report.py", "--runs", str(runs), "--tried", str(out / "tried.md")), expect, names, page_is_safe),
         Opening(("report.py", "--runs", str(runs), "--keep", str(out / "kept")), expect, names),
         watched(box),
     ]

@@ -19,8 +19,8 @@ FIRST = "preset=tiny, 40 steps, data "
 AGAINST_DENSE = [
     "Warning: my_refiner and dense differ in steps of depth/sketch/model (8/5/40 and –/–/40).",
     # stats.ttest_ind([.33, .36, .36], [.20, .21], equal_var=False), and of half the scores
-    "RayIoU         gap +0.145 ± 0.011 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
-    "RayIoU, LiDAR  gap +0.072 ± 0.006 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
+    "voxel RayIoU    gap +0.145 ± 0.011 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
+    "surface RayIoU  gap +0.072 ± 0.006 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
 ]
 
 
@@ -51,10 +51,10 @@ def test_rows_of_one_depth_network_are_compared_by_seed_and_others_by_welch(made
     setting, *lines = compare(capsys, made, "my_refiner", "omnidepth_occ", "dense")
     assert setting.startswith(FIRST)
     assert lines == [
-        "RayIoU         gap +0.030 ± 0.006 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
-        "omnidepth_occ (ours)",
-        "RayIoU, LiDAR  gap +0.015 ± 0.003 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
-        "omnidepth_occ (ours)",
+        "voxel RayIoU    gap +0.030 ± 0.006 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
+        "omnidepth_occ",
+        "surface RayIoU  gap +0.015 ± 0.003 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
+        "omnidepth_occ",
         *AGAINST_DENSE,
         "In brackets: p adjusted for 2 comparisons (Holm), which decides.",
     ]
@@ -62,7 +62,7 @@ def test_rows_of_one_depth_network_are_compared_by_seed_and_others_by_welch(made
 
 def test_two_rows_need_no_adjustment_and_a_title_is_a_name(made, capsys):
     lines = compare(capsys, made, "OmniDepth-Occ", "my_refiner")[1:]
-    assert [line.split("paired), ")[1] for line in lines] == ["p .035: OmniDepth-Occ (ours) is behind my_refiner"] * 2
+    assert [line.split("paired), ")[1] for line in lines] == ["p .035: OmniDepth-Occ is behind my_refiner"] * 2
 
 
 def test_adjusted_p_values_decide(made, capsys):
@@ -76,8 +76,8 @@ def test_adjusted_p_values_decide(made, capsys):
 def test_one_seed_decides_nothing(made, capsys):
     lines = compare(capsys, made, "once", "ours")[1:]
     assert lines == [
-        "RayIoU         gap +0.080 (1 and 3 seeds): one seed decides nothing between once and ours",
-        "RayIoU, LiDAR  gap +0.040 (1 and 3 seeds): one seed decides nothing between once and ours",
+        "voxel RayIoU    gap +0.080 (1 and 3 seeds): one seed decides nothing between once and ours",
+        "surface RayIoU  gap +0.040 (1 and 3 seeds): one seed decides nothing between once and ours",
     ]
 
 
@@ -85,9 +85,9 @@ def test_scores_of_other_protocols_are_not_compared(made, capsys):
     _, warning, *lines = compare(capsys, made, "ours", "cuboid")
     assert warning == "Warning: ours and cuboid differ in grid (cylinder 8x10x4 and cuboid 8x8x4)."
     assert lines[0] == (
-        "RayIoU         not compared: ours and cuboid have no such score in common, counted by one protocol"
+        "voxel RayIoU    not compared: ours and cuboid have no such score in common, counted by one protocol"
     )
-    assert lines[1].startswith("RayIoU, LiDAR  gap +0.105 ± ")
+    assert lines[1].startswith("surface RayIoU  gap +0.105 ± ")
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_rows_without_a_setting_in_common_are_compared_with_a_warning(made, caps
     warning, *lines = compare(capsys, made, "ours", "my_refiner")
     told = told.format(data=data)
     assert warning == f"Warning: ours and my_refiner have no setting in common: they differ in {told}."
-    assert [line[:25] for line in lines] == ["RayIoU         gap -0.030", "RayIoU, LiDAR  gap -0.015"]
+    assert [line[:26] for line in lines] == ["voxel RayIoU    gap -0.030", "surface RayIoU  gap -0.015"]
 
 
 def test_the_setting_in_which_both_rows_have_most_seeds_counts_and_another_can_be_named(made, capsys):

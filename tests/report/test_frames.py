@@ -31,6 +31,7 @@ def test_parts_are_shown_as_they_were_saved(runs):
 
 def test_a_run_without_parts_is_left_out_with_a_line(runs, tmp_path, capsys):
     run = read_runs(runs)[0]._replace(folder=tmp_path)
+    capsys.readouterr()
     (tmp_path / "images").mkdir()
     assert compared_frames({"ours": [run]}) == []
     assert capsys.readouterr().err == "", "no image was asked for"

@@ -1,6 +1,7 @@
 """The page on a sweep is complete and needs no other file."""
 
 import base64
+import csv
 import importlib.util
 import json
 import re
@@ -68,7 +69,7 @@ def test_the_page_is_complete_and_every_link_has_a_target(output, outline):
     assert len(outline.ids) == len(set(outline.ids))
     targets = [link[1:] for link in outline.links if link.startswith("#")]
     files = [output / unquote(link.split("#")[0]) for link in outline.links if not link.startswith("#")]
-    assert len(targets) > 30
+    assert len(targets) > 20
     assert set(map(unquote, targets)) <= set(outline.ids)
     assert len(files) > 30
     assert [path for path in files if not path.exists()] == []
@@ -91,9 +92,9 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
     text = "".join(outline.text)
     assert "python src/train.py '+ablation=my <own>-00000001' seed=0 <&>" in text
     assert "Not run: bevdet, bevformer, voxformer_pinhole@40, voxformer, wo_semantic_head" in text
-    assert "0.320 ± 0.028" in text
-    assert "here: not run" in text
-    assert "cuboid voxel representation" in text
+    assert "0.320 ± 0.020" in text
+    assert "± is the standard error over seeds" in text
+    assert "Table VII: " in text
     expected = [(runs / "ours-00000002" / name).resolve() for name in ("", "config.yaml", "metrics.json")]
     assert [str(path).split("/runs/")[1] for path in expected if not any(
         unquote(link).rstrip("/").endswith(str(path).split("/runs/")[1]) for link in outline.links
@@ -102,18 +103,18 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
 
 def test_every_table_says_how_its_scores_were_counted(output, outline):
     text, markdown = "".join(outline.text), (output / "report.md").read_text("utf-8")
-    sketch = "RayIoU: rays from the ego origin."
-    both, representation = "RayIoU (cuboid): rays from given origins.", "RayIoU: rays from given origins."
-    for line in (sketch, both, representation, "RayIoU, LiDAR: rays of a LiDAR.", "IoU, mIoU: all cells."):
+    sketch = "Voxel RayIoU: rays from the ego origin."
+    both, representation = "Voxel RayIoU (cuboid): rays from given origins.", "Voxel RayIoU: rays from given origins."
+    for line in (sketch, both, representation, "Surface RayIoU: rays of a LiDAR.", "IoU, mIoU: all cells."):
         assert line in text
         assert f"\n\n{line}\n" in markdown
     chapters = markdown.split("\n## ")
-    for title, line in (("Cylinder sketch", sketch), ("Baseline", both), ("Cylindrical", representation)):
+    for title, line in (("Table VI:", sketch), ("Baseline", both), ("Table VII:", representation)):
         (chapter,) = (part for part in chapters if part.startswith(title))
         assert line in chapter
     budget = next(part for part in chapters if part.startswith("Budget"))
     assert "RayIoU" not in budget
-    assert f"% Cylinder sketch module: here (paper). {sketch} " in (output / "sketch.tex").read_text("utf-8")
+    assert f". {sketch} " in (output / "sketch.tex").read_text("utf-8").splitlines()[0]
 
 
 def test_frames_lead_to_the_viewer_pages_of_runs_that_have_one(outline, runs):
@@ -134,10 +135,10 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
         "semantic_temporal", "sketch", "weather",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
-    claim = "| omni depth ahead of dense voxels | +0.036 | own voxels | +0.025 | +0.120 | – | – | – |"
+    claim = "| Sketch ahead of all voxels | Table VI | +0.036 | +0.025 | +0.120 | – | 2 and 1 | – | – | undecided"
     assert claim in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
-    assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
+    assert markdown.index("## Table I: ") < markdown.index("## Table II: ")
     folder = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
     assert (output / folder / "config.yaml").exists()
     names = {path.name for path in (output / "plots").glob("*.png")}
@@ -162,7 +163,7 @@ def test_thirty_lines_are_printed_at_most_and_all_tables_by_a_flag(runs, tmp_pat
     report("--runs", str(folder))
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == 30
-    assert "| row0 | 2 | 0.250 ± 0.000 | 0.125 ± 0.000 |" in printed
+    assert "| row0 | – | 2 | 0.250 ± 0.000 | 0.125 ± 0.000 |" in printed
     assert [line for line in printed if line.startswith("...")] == [
         "... and 4 more remarks", "... and 4 more rows", "... and 4 more settings"
     ]  # fmt: skip
@@ -179,29 +180,32 @@ def test_the_path_is_printed_also_for_an_unfinished_sweep(runs, tmp_path, capsys
     report("--runs", str(part))
     assert capsys.readouterr().out.splitlines()[-1] == f"page    {part / 'report' / 'index.html'}"
     page = (part / "report" / "index.html").read_text("utf-8")
-    assert "here: not run" in page
+    assert "Not run: " in page
     assert "Begun, not finished: mono-00000001 (step 19)." in page
 
 
-def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
+def test_the_tables_are_written_as_pages_of_the_documentation_and_csv(runs, tmp_path):
     docs = tmp_path / "docs" / "results"
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
-    assert {path.name for path in docs.iterdir()} == {
-        "bets.md", "beyond.md", "bounds.md", "budget.md", "claims.md", "classes.md", "comparison.md", "distance.md",
-        "equal_budget.md", "equal_steps.md", "index.md", "interval.md", "lidar.md", "moving.md", "origins.md",
-        "places.md", "power.md", "reasons.md", "refine.md", "representation.md", "rivals.md", "rivals_budget.md",
-        "runs.md", "semantic_temporal.md", "sketch.md", "weather.md",
+    assert {str(path.relative_to(docs)) for path in docs.rglob("*.md")} == {
+        "appendix/breakdowns.md", "appendix/claims.md", "appendix/costs.md", "beyond.md", "index.md", "paper.md",
+        "systems.md",
     }  # fmt: skip
-    generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
+    assert {"sketch.csv", "runs.csv", "claims.csv", "power.csv"} <= {path.name for path in (docs / "csv").iterdir()}
+    generated, _, title, *lines = (docs / "paper.md").read_text("utf-8").splitlines()
     command = "python src/report.py --runs docs/results/runs --docs docs/results"
     assert generated == f"<!-- Written by `{command}`; do not edit. -->"
-    assert title == "# Cylinder sketch module"
-    assert "| omni depth | paper | 0.470 | – | – | – | – |" in lines
-    assert any(line.startswith("| omni depth ahead of dense voxels | +0.036 | own voxels |") for line in lines)
-    assert lines[-1].startswith("3 runs, seeds 0, 1; preset=tiny, 40 steps, data ")
-    assert "| my <own>-00000001 | 0 | 40 | 1.5 | – | abc | – | `python src/train.py" in (docs / "runs.md").read_text(
-        "utf-8"
-    )
+    assert title == "# The paper's tables, trained here"
+    headings = [line.removeprefix("## ").partition(":")[0] for line in lines if line.startswith("## ")]
+    assert headings == [f"Table {number}" for number in ("I", "II", "III", "IV", "V", "VI", "VII")]
+    assert not any("±" in line for line in lines)
+    assert any(line.endswith("[sketch.csv](csv/sketch.csv).") for line in lines)
+    (claim,) = (line for line in (docs / "appendix" / "claims.md").read_text("utf-8").splitlines() if "0.120" in line)
+    assert claim.startswith("| Sketch ahead of all voxels |")
+    records = csv.DictReader((docs / "csv" / "runs.csv").read_text("utf-8").splitlines())
+    (own,) = (line for line in records if line["row"] == "my <own>")
+    assert (own["seed"], own["steps"], own["minutes"], own["commit"]) == ("0", "40", "1.5", "abc")
+    assert own["command"].startswith("python src/train.py")
 
 
 def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
@@ -222,8 +226,8 @@ def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
         docs, output = tmp_path / f"docs-{source.name}", tmp_path / f"report-{source.name}"
         report("--runs", str(source), "--output", str(output), "--docs", str(docs))
         text = (docs / "robustness.md").read_text("utf-8")
-        assert "| mean of all kinds | **40.0** | 60.0 |" in text
-        assert "ours loses least of all." in text
+        assert "| mean of all kinds | **40.0** |" in text or "| mean of all kinds | 40.0 |" in text
+        assert (docs / "csv" / "robustness.csv").read_text("utf-8").count("\n") == 5
         page = (output / "index.html").read_text("utf-8")
         assert 'id="robustness"' in page
         assert 'id="plot-robustness"' in page
@@ -257,7 +261,7 @@ def test_runs_of_other_lengths_have_pages_of_their_own_and_can_be_named_in_table
     assert 'href="../index.html"' in (other / "index.html").read_text()
     for text in ((folder / "report" / "report.md").read_text(), (other / "report.md").read_text()):
         (line,) = (line for line in text.splitlines() if line.startswith("| four times the steps"))
-        assert "here, 1 seed" in line
+        assert line.endswith("| 0.300 | 1 |")
 
 
 def test_runs_on_other_data_are_not_taken_for_rows_of_a_table(runs, tmp_path):

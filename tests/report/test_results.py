@@ -1,38 +1,53 @@
-"""The pages of results are made of the kept records alone, and are up to date."""
+"""The pages of results and the CSV beside them are made of the kept records alone, and are up to date."""
 
+import csv
 import shutil
 from pathlib import Path
 
 import pytest
 
-from omniocc.report.chapters import write_docs
+from omniocc.report.docs import write_docs
 from omniocc.report.runs import read_runs
 from omniocc.report.sweep import read_sweeps
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
-GENERATED = {
-    page.name: page.read_bytes() for page in RESULTS.glob("*.md") if page.read_text().startswith("<!-- Written")
-}
+PAGES = [path for path in RESULTS.rglob("*.md") if path.read_text().startswith("<!-- Written")]
+GENERATED = {str(path.relative_to(RESULTS)): path.read_bytes() for path in [*PAGES, *(RESULTS / "csv").iterdir()]}
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> dict[str, bytes]:
-    """Return the pages of copied records, whose files have other times and lie elsewhere."""
+    """Return the files of copied records, whose files have other times and lie elsewhere."""
     folder = tmp_path_factory.mktemp("records")
     for path in sorted((RESULTS / "runs").iterdir(), reverse=True):
         shutil.copytree(path, folder / path.name, copy_function=shutil.copyfile)
     sweeps = read_sweeps(folder, ROOT / "sweeps", ROOT / "conf", None)
-    return {page.name: page.read_bytes() for page in write_docs(sweeps, folder / "docs")}
+    docs = folder / "docs"
+    return {str(path.relative_to(docs)): path.read_bytes() for path in write_docs(sweeps, docs)}
 
 
-def test_every_generated_page_is_written_again_bit_for_bit(written):
+def test_every_generated_file_is_written_again_bit_for_bit(written):
     """`python src/report.py --runs docs/results/runs --docs docs/results` changes nothing."""
-    assert len(GENERATED) > 10
+    assert len(PAGES) == 8
     assert sorted(written) == sorted(GENERATED)
     assert [name for name, page in GENERATED.items() if written[name] != page] == []
 
 
 def test_every_kept_run_is_in_the_list_of_runs(written):
-    records = written["runs.md"].decode()
-    assert [run.name for run in read_runs(RESULTS / "runs") if f"| {run.name} |" not in records] == []
+    lines = csv.DictReader(written["csv/runs.csv"].decode().splitlines())
+    assert {line["run"] for line in lines} == {run.name for run in read_runs(RESULTS / "runs")}
+
+
+def test_no_column_has_an_empty_head_and_text_stands_to_the_left(written):
+    """In the tables of pages a column to the right has no letters but those of a unit or of two numbers."""
+    tables = 0
+    for name in (name for name in written if name.endswith(".md")):
+        lines = [line.strip("| ").split(" | ") for line in written[name].decode().splitlines() if line.startswith("|")]
+        for place in (place for place, line in enumerate(lines) if set("".join(line)) <= set("-:")):
+            head, align, first = lines[place - 1 : place + 2]
+            assert all(head), (name, head)
+            right = [cell for cell, side in zip(first, align, strict=True) if side.endswith(":")]
+            assert not any(cell.strip("0123456789.,+-±–%✅☑❌❓=()</>* Mkand") for cell in right), (name, right)
+            tables += 1
+    assert tables > 20

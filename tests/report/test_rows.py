@@ -11,7 +11,7 @@ from omniocc.config import ConfigError, compose_plain
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import read_sweeps
-from omniocc.report.tables.paper import as_markdown
+from omniocc.report.tables.paper import table_cells
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
@@ -46,7 +46,9 @@ def test_a_newer_run_of_another_name_does_not_take_the_row(runs, tmp_path, rays,
     train(tmp_path, runs / "dense-00000001", "mine-00000001", LATE | rays | {"commit": commit})
     sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
     assert {row: [run.name for run in members] for row, members in sweep.rows.items()} == {"ours": ["ours-00000001"]}
-    reason = "since their scores are counted by another protocol: mine-00000001 (RayIoU: rays from eight origins)."
+    reason = (
+        "since their scores are counted by another protocol: mine-00000001 (voxel RayIoU: rays from eight origins)."
+    )
     assert (
         f"Left out, {reason if rays else 'runs of other names of the same row and seed: mine-00000001'}" in sweep.remark
     )
@@ -78,7 +80,7 @@ def test_runs_of_more_steps_counted_otherwise_are_not_beside_the_others(runs, tm
     first, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
     assert list(first.lengths) == ["ours@40", "ours@4000"]
     assert [sweep.runs[0].name for sweep in first.longer] == ["ours-00000004"]
-    assert "counted by another protocol: ours-00000003 (RayIoU: rays from eight origins)." in first.remark
+    assert "counted by another protocol: ours-00000003 (voxel RayIoU: rays from eight origins)." in first.remark
 
 
 def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs, tmp_path):
@@ -92,6 +94,5 @@ def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs
     assert "ours" not in sweep.not_run
     assert "Counted in the row whose configuration they have: demo-0123abcd (ours)." in sweep.remark
     (table,) = (table for table in sweep.tables if table.number == 2)
-    lines = [line for line in as_markdown(table, sweep.rows).splitlines() if "OmniDepth-Occ" in line]
-    assert lines
-    assert not any("not run" in line for line in lines)
+    head, lines = table_cells(table, sweep.rows)
+    assert {line[0]: line[-1] for line in lines}["Seeds"] == "1", head[-1]

@@ -53,7 +53,7 @@ PROTOCOL = {"voxel": "cells", "rayiou": "rays from here", "lidar/rayiou": "LiDAR
 
 def test_the_tables_say_how_scores_were_counted(tmp_path, capsys):
     save_results(tmp_path, METRICS, {"seed": 3, "protocol": PROTOCOL})
-    lines = ["voxel RayIoU: rays from here.", "surface RayIoU: LiDAR rays.", "IoU, mIoU: cells."]
+    lines = ["Voxel RayIoU: rays from here.", "Surface RayIoU: LiDAR rays.", "IoU, mIoU: cells."]
     text = (tmp_path / "table.md").read_text()
     assert text.startswith("seed 3\n")
     assert text.endswith("\n\n".join(lines) + "\n")

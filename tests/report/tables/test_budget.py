@@ -1,7 +1,7 @@
 """What rows were given and what they cost."""
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.budget import budget_cells, note
+from omniocc.report.tables.budget import budget_cells, named, note
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 
 BEFORE = {"depth": 800, "sketch": 500}
@@ -19,9 +19,10 @@ def cost(minutes, mib):
 def test_a_row_with_a_learned_sketch_has_two_stages_before():
     before = {"minutes of earlier stages": 16.8}
     learned = [run(seed, BEFORE, **cost(minutes, 900 + seed), **before) for seed, minutes in enumerate((8.0, 9.0))]
-    head, lines = budget_cells({"ours": learned, "dense": [run(0, {}, **cost(18.84, 1500.0))]})
+    rows = {"ours": learned, "dense": [run(0, {}, **cost(18.84, 1500.0))]}
+    head, lines = budget_cells(rows, {"ours": "OmniDepth-Occ"})
     assert lines == [
-        ["ours", "1.15", "16.7", "800", "500", "1000", "2300", "2", "8.5", "25.3", "901"],
+        ["OmniDepth-Occ", "1.15", "16.7", "800", "500", "1000", "2300", "2", "8.5", "25.3", "901"],
         ["dense", "1.15", "16.7", "–", "–", "1000", "1000", "2", "18.8", "18.8", "1500"],
     ]
     assert len(head) == len(lines[0])
@@ -38,8 +39,15 @@ def test_the_note_names_the_machines_of_the_runs():
 
 def test_what_a_run_did_not_record_is_a_dash():
     first, second = run(0, {}, **{"minutes of training": 7.0}), run(1, {}, **cost(8.0, 1000.0))
-    assert budget_cells({"bevdet": [first]})[1][0][1:3] == ["–", "–"]
-    assert budget_cells({"bevdet": [first, second]})[1][0] == [
+    assert budget_cells({"bevdet": [first]}, {})[1][0][1:3] == ["–", "–"]
+    assert budget_cells({"bevdet": [first, second]}, {})[1][0] == [
         "bevdet", "1.15", "16.7", "–", "–", "1000", "1000", "2", "7.5", "7.5", "1000",
     ]  # fmt: skip
-    assert budget_cells({"mine": [FinishedRun("mine-00000000", {}, {})]})[1] == [["mine", *["–"] * 10]]
+    assert budget_cells({"mine": [FinishedRun("mine-00000000", {}, {})]}, {})[1] == [["mine", *["–"] * 10]]
+
+
+def test_a_row_of_a_number_of_steps_names_them():
+    names = {"ours": "OmniDepth-Occ", "bevformer_budget": "BEVFormer (bevformer_budget)"}
+    assert named("ours@1000", names) == "OmniDepth-Occ, 1,000 steps"
+    assert named("bevformer_budget@3100", names) == "BEVFormer, 3,100 steps"
+    assert named("bevformer_budget", names) == "BEVFormer (bevformer_budget)"

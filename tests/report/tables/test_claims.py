@@ -8,10 +8,9 @@ from scipy import stats
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.claims import (
-    HEAD,
     Claim,
     Judged,
-    claim_cells,
+    Rows,
     claims_of,
     judged,
     metric_of,
@@ -21,9 +20,10 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
-from omniocc.report.tables.verdicts import verdict_cells
+from omniocc.report.tables.verdicts import HEAD, claim_lines
 from omniocc.run.scenes import LIDAR as LIDAR_RAYS
 from omniocc.run.scenes import RAYS, save_scenes
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 SKETCH, COMPARISON = (load_table(SWEEPS / f"{name}.yaml").of_steps("1000") for name in ("sketch", "comparison"))
@@ -36,6 +36,11 @@ def row(name: str, *values: float, lidar: float | None = None) -> list[FinishedR
         FinishedRun(f"{name}-{k:08x}", {"seed": k}, {OWN: value} | ({} if lidar is None else {LIDAR: lidar * value}))
         for k, value in enumerate(values)
     ]
+
+
+def cells(table: PaperTable, rows: Rows, judge: str) -> list[list[str]]:
+    """Return the lines of the table of all claims in one metric."""
+    return [line.cells for line in claim_lines([table], rows, judged([table], rows)) if line.judge == judge]
 
 
 def titles(table: PaperTable) -> list[tuple[str, str]]:
@@ -53,7 +58,7 @@ def test_claimed_are_the_best_over_all_others_and_what_the_table_adds():
 
 def test_the_papers_gap_is_taken_in_proportion_to_the_score_here():
     runs = {"ours": row("ours", 0.20, 0.27, lidar=0.5), "dense": row("dense", 0.18, 0.26, lidar=0.5)}
-    for judge, score in (("own voxels", 0.235), ("LiDAR rays", 0.1175)):
+    for judge, score in ((VOXEL_RAYIOU, 0.235), (SURFACE_RAYIOU, 0.1175)):
         (claim,) = claims_of([SKETCH], runs, judge).values()
         assert claim.paper == pytest.approx(0.470 - 0.434)
         assert claim.size == pytest.approx((0.470 - 0.434) / 0.470 * score)
@@ -71,13 +76,13 @@ def test_parts_are_compared_by_seed_and_systems_are_not():
         (alone, stats.ttest_ind(*scores, equal_var=False)),
         (parts, stats.ttest_rel(*scores)),
     ):
-        (claim,) = claims_of([table], runs, "own voxels").values()
+        (claim,) = claims_of([table], runs, VOXEL_RAYIOU).values()
         assert claim.gap.p_none == pytest.approx(reference.pvalue)
 
 
 def test_rows_that_stand_alone_tell_nothing_about_the_noise_of_the_others():
     runs = {"ours": row("ours", 0.30, 0.35), "wo_dilation": row("wo", 0.29, 0.35), "dense": row("dense", 0.1, 0.9)}
-    (first, second) = claims_of([SKETCH], runs, "own voxels").values()
+    (first, second) = claims_of([SKETCH], runs, VOXEL_RAYIOU).values()
     assert first.gap.p_none == pytest.approx(stats.ttest_rel([0.30, 0.35], [0.29, 0.35]).pvalue)
     assert second.gap.p_none == pytest.approx(stats.ttest_ind([0.30, 0.35], [0.1, 0.9], equal_var=False).pvalue)
 
@@ -88,7 +93,7 @@ def test_parts_with_other_networks_are_compared_as_systems(paired):
     scores = [0.30, 0.35], [0.29, 0.35]
     again = [run._replace(metrics=run.metrics | {"test/depth/mae": 1.5}) for run in row("wo", *scores[1])]
     (claim,) = claims_of(
-        [SKETCH], {"ours": row("ours", *scores[0]), "wo_dilation": again}, "own voxels", paired
+        [SKETCH], {"ours": row("ours", *scores[0]), "wo_dilation": again}, VOXEL_RAYIOU, paired
     ).values()
     assert claim.gap.p_none == pytest.approx(stats.ttest_ind(*scores, equal_var=False).pvalue)
 
@@ -153,14 +158,12 @@ def test_rows_without_printed_figures_have_claims_of_their_own(tmp_path):
     runs = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.21, 0.23)}
     (found,) = judged([table], runs).values()
     assert found.none == pytest.approx(0.12690, abs=1e-5)
-    assert claim_cells(table, runs, judged([table], runs))[1] == [
-        ["mine ahead of plain", "–", "own voxels", "–", "+0.100 ± 0.010", "–", ".063 (.13)", "–", "undecided"]
-    ]
+    first, not_run = cells(table, runs, VOXEL_RAYIOU)
+    told = ["mine ahead of plain", "Mine", "–", "–", "+0.100 ± 0.010", "–", "2 and 2", ".063 (.13)", "–", "undecided"]
+    assert first == told
+    assert not_run == ["mine ahead of paper's", "Mine", "–", *["–"] * 6, "not run"]
     same = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.20, 0.24)}
     assert [each.verdict for each in judged([table], same).values()] == ["holds"]
-    assert [line[2:6] for line in verdict_cells([table], same, judged([table], same))[1]] == [
-        ["–", "–", "2 and 2", "holds"], ["–", "–", "–", "not run"]
-    ]  # fmt: skip
 
 
 def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_a_printed_one():
@@ -189,7 +192,7 @@ def test_a_claim_has_the_standard_error_over_streets_by_each_judge(tmp_path):
     """By street the gap is .1, 0, .4 of own voxels, and .3, .1, .5 of LiDAR rays."""
     better = [on_streets(tmp_path, "ours", seed, [0.5, 0.6, 0.9], [0.4, 0.4, 0.7]) for seed in range(2)]
     other = [on_streets(tmp_path, "dense", seed, [0.4, 0.6, 0.5], [0.1, 0.3, 0.2]) for seed in range(2)]
-    for judge, gaps in (("own voxels", [0.1, 0.0, 0.4]), ("LiDAR rays", [0.3, 0.1, 0.5])):
+    for judge, gaps in ((VOXEL_RAYIOU, [0.1, 0.0, 0.4]), (SURFACE_RAYIOU, [0.3, 0.1, 0.5])):
         (claim,) = claims_of([SKETCH], {"ours": better, "dense": other}, judge).values()
         assert claim.streets == pytest.approx(stats.sem(gaps), abs=1e-6)
 
@@ -217,29 +220,28 @@ def test_a_row_under_two_names_is_one_row():
     assert twice == once
 
 
-def test_a_table_has_a_line_for_each_claim_and_judge():
+def test_a_claim_has_a_line_in_the_table_of_each_metric():
     better, other = [0.30, 0.34], [0.24, 0.25]
     runs = {"ours": row("ours", *better, lidar=0.6), "dense": row("dense", *other, lidar=0.6)}
-    head, lines = claim_cells(SKETCH, runs, judged([SKETCH], runs))
-    assert head == HEAD
-    first = ["omni depth ahead of dense voxels", "+0.036", "own voxels", "+0.025", "+0.075 ± 0.021"]
+    first, *_ = cells(SKETCH, runs, VOXEL_RAYIOU)
     apart = stats.ttest_ind(better, other, equal_var=False)
     p_size = stats.t(apart.df).cdf((0.075 - 0.0245106) / 0.0206155)
     # four claims of the table, of which one has run
     tests = [f".{100 * apart.pvalue:.0f} (.{400 * apart.pvalue:.0f})", f".{100 * p_size:.0f} (1)"]
-    assert lines[0] == [*first, "–", *tests, "undecided"]
-    assert lines[1][2:5] == ["LiDAR rays", "+0.015", "+0.045 ± 0.012"]
+    title = ["Sketch ahead of all voxels", "Table VI", "+0.036"]
+    assert first == [*title, "+0.025", "+0.075 ± 0.021", "–", "2 and 2", *tests, "undecided"]
+    assert len(first) == len(HEAD)
+    assert cells(SKETCH, runs, SURFACE_RAYIOU)[0][3:5] == ["+0.015", "+0.045 ± 0.012"]
     single = {"ours": row("ours", 0.3), "dense": row("dense", 0.2)}
-    assert claim_cells(SKETCH, single, judged([SKETCH], single))[1] == [
-        [*first[:3], "+0.023", "+0.100", "–", "–", "–", "undecided (one seed only)"],
-    ]
-    assert claim_cells(SKETCH, {}, {})[1] == []
+    alone = [*title, "+0.023", "+0.100", "–", "1 and 1", "–", "–", "undecided (one seed only)"]
+    assert cells(SKETCH, single, VOXEL_RAYIOU)[0] == alone
+    assert {line[-1] for line in cells(SKETCH, {}, VOXEL_RAYIOU)} == {"not run"}
 
 
 def test_scores_of_bands_have_a_lidar_judge_and_other_metrics_have_none():
     distance = load_table(SWEEPS / "distance.yaml")
-    assert metric_of(distance, "LiDAR rays") == "test/lidar/rayiou_0-8.5m"
-    assert metric_of(distance._replace(order_by="test/depth/mae"), "LiDAR rays") is None
+    assert metric_of(distance, SURFACE_RAYIOU) == "test/lidar/rayiou_0-8.5m"
+    assert metric_of(distance._replace(order_by="test/depth/mae"), SURFACE_RAYIOU) is None
 
 
 def test_rows_of_other_steps_are_other_claims():
@@ -250,7 +252,7 @@ def test_rows_of_other_steps_are_other_claims():
     tables = [SKETCH._replace(rows=rows)]
     assert set(names_in([tables[0]._replace(steps="3000")]).values()) == {row.run for row in rows}
     names = names_in(tables)
-    assert {names[other.run] for _, _, other in planned_claims(tables, "own voxels")} == {
+    assert {names[other.run] for _, _, other in planned_claims(tables, VOXEL_RAYIOU)} == {
         "ours",
         "dense@1000",
         "dense@3000",

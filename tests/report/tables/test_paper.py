@@ -12,17 +12,20 @@ from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.report.tables.claims import pairs_of
 from omniocc.report.tables.paper import (
+    PAGES,
     as_csv,
     as_latex,
-    as_markdown,
     figure_of,
     is_table,
     load_table,
+    method_names,
+    order_line,
+    table_cells,
 )
+from omniocc.run.rows import known_rows
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 TABLES = [path for path in sorted(SWEEPS.glob("*.yaml")) if is_table(path)]
-ROWS = Path(__file__).parents[3] / "conf" / "ablation"
 
 
 def run(name: str, seed: int, value: float, preset: str = "tiny") -> FinishedRun:
@@ -43,9 +46,9 @@ def test_every_table_has_our_row_and_figures_in_0_to_1(path):
     assert rows & {"ours", "ours_01s", "cylinder"}
     fractions = [value for row in table.rows for key, value in row.paper.items() if key != VOXELS and value is not None]
     assert all(0 <= value <= 1 for value in fractions)
-    assert ("Table " in table.note) == (table.number > 0)
-    # changes that were tried have names that begin so
-    assert rows <= {f"{'tried_' * (path.parent.name == 'tried')}{path.stem}" for path in ROWS.rglob("*.yaml")}
+    assert (table.page == "paper") == (table.number > 0)
+    assert table.page in PAGES
+    assert rows <= known_rows(SWEEPS.parent / "conf", TABLES).keys()
 
 
 def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
@@ -61,10 +64,11 @@ def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
         assert gap == pytest.approx(0.0275, abs=1e-3) if row.run == "bevdet" else gap < 1e-3
 
 
-def test_mean_standard_deviation_and_number_of_seeds():
+def test_mean_spread_and_number_of_seeds():
     figure = figure_of(RUNS["ours"], "test/rayiou")
     assert figure.mean == pytest.approx(0.3)
     assert figure.std == pytest.approx(math.sqrt(0.02))
+    assert figure.error == pytest.approx(0.1)
     assert figure.seeds == 2
     assert figure_of(RUNS["ours"], "test/absent") is None
     assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").std)
@@ -75,31 +79,67 @@ def test_seeds_without_a_figure_do_not_count():
     assert (figure.mean, figure.seeds) == (pytest.approx(0.3), 2)
 
 
-def test_markdown_shows_both_and_whether_the_order_holds():
-    text = as_markdown(load_table(SWEEPS / "sketch.yaml"), RUNS)
-    assert "| omni depth | paper | 0.470 |" in text
-    assert "| omni depth | here, 2 seeds | 0.300 ± 0.141 |" in text
-    assert "| random voxels | here: not run | – |" in text
-    assert "omni depth > dense voxels > mono depth; here dense voxels > omni depth > mono depth" in text
+SKETCH = load_table(SWEEPS / "sketch.yaml")
+
+
+def test_the_papers_figure_stands_beside_ours():
+    head, lines = table_cells(SKETCH, RUNS)
+    score, surface = SKETCH.columns["test/rayiou"], SKETCH.columns["test/lidar/rayiou"]
+    assert head[:4] == ["Method", f"{score}, paper", f"{score}, here", surface]
+    assert head[-1] == "Seeds"
+    found = {row.run: [line[1], line[2], line[-1]] for row, line in zip(SKETCH.rows, lines, strict=True)}
+    assert found["ours"] == ["0.470", "0.300 ± 0.100", "2"]
+    assert found["random"] == ["0.401", "–", "0"]
+    assert table_cells(SKETCH, RUNS, errors=False)[1][0][2] == "0.300"
+
+
+def test_a_wide_table_has_a_line_for_each_column():
+    table = load_table(SWEEPS / "comparison.yaml")
+    head, lines = table_cells(table, RUNS)
+    assert head[0] == "Metric"
+    assert head[-2:] == [f"{table.rows[-1].title}, paper", f"{table.rows[-1].title}, here"]
+    found = {line[0]: line[-2:] for line in lines}
+    assert list(found) == [*table.columns.values(), "Seeds"]
+    assert found[table.columns["test/rayiou"]] == ["0.470", "0.300 ± 0.100"]
+    assert found["Seeds"] == ["–", "2"]
+
+
+def test_the_order_of_the_methods_is_compared_with_the_papers():
+    names = {row.run: row.title for row in SKETCH.rows}
+    text = order_line(SKETCH, RUNS)
+    paper, here = (" > ".join(names[row] for row in rows.split()) for rows in ("ours dense mono", "dense ours mono"))
+    assert f"the paper says {paper}; here {here}" in text
     assert "tau 0.33" in text
 
 
-def test_equal_figures_have_no_order():
+def test_fewer_than_three_methods_or_equal_figures_have_no_order():
     same = {"ours": RUNS["ours"][:1], "mono": [run("mono-01234567", 0, 0.2)]}
-    table = load_table(SWEEPS / "sketch.yaml")
-    assert "No order to compare: fewer than three methods have run." in as_markdown(table, same)
+    assert order_line(SKETCH, same) == ""
     same["dense"] = [run("dense-01234567", 0, 0.2)]
-    assert "(Kendall's tau not defined: all are equal)" in as_markdown(table, same)
+    assert "(Kendall's tau not defined: all are equal)" in order_line(SKETCH, same)
+
+
+def test_rows_are_called_by_the_papers_titles_and_told_apart():
+    tables = [load_table(SWEEPS / f"{name}.yaml") for name in ("equal_budget", "comparison")]
+    names = method_names(tables)
+    assert (names["ours"], names["bevformer"]) == ("OmniDepth-Occ", "BEVFormer")
+    assert names["bevformer_budget"] == "BEVFormer (bevformer_budget)"
 
 
 def test_csv_and_latex_hold_the_same_figures():
-    table = load_table(SWEEPS / "sketch.yaml")
-    lines = list(csv.DictReader(as_csv(table, RUNS).splitlines()))
-    ours = next(line for line in lines if line["row"] == "ours" and line["metric"] == "test/rayiou")
+    longer = {"ours": [found._replace(facts={**found.facts, "steps": 90}) for found in RUNS["ours"][:1]]}
+    lines = list(csv.DictReader(as_csv(SKETCH, RUNS, longer).splitlines()))
+    of_ours = [line for line in lines if line["row"] == "ours" and line["key"] == "test/rayiou"]
+    assert [line["steps"] for line in of_ours] == ["9", "90"]
+    ours = of_ours[0]
     assert (ours["paper"], ours["mean"], ours["seeds"]) == ("0.47", "0.3", "2")
-    latex = as_latex(table, RUNS)
-    assert r"omni depth & 0.300 $\pm$ 0.141 (0.470)" in latex
-    assert latex.count(r"\\") == 1 + len(table.rows)
+    assert (ours["standard deviation"], ours["standard error"]) == ("0.141421", "0.1")
+    assert (of_ours[1]["mean"], of_ours[1]["standard error"]) == ("0.2", "")
+    random = next(line for line in lines if line["row"] == "random")
+    assert (random["paper"], random["mean"], random["seeds"]) == ("0.401", "", "0")
+    latex = as_latex(SKETCH, RUNS)
+    assert r"& 0.470 & 0.300 $\pm$ 0.100 &" in latex
+    assert latex.count(r"\\") == 1 + len(SKETCH.rows)
 
 
 def test_a_broken_table_is_named(tmp_path):
@@ -113,6 +153,7 @@ def test_a_broken_table_is_named(tmp_path):
     ("line", "message"),
     [
         ("order_by: b", "order_by is b, which is no column"),
+        ("order_by: a\npage: gone", "page is gone; it is one of paper, systems, beyond, appendix/breakdowns"),
         ("order_by: a\ncompares: all", "compares is all; it is one of parts, grids, systems"),
         ("order_by: a\nclaims: [[mono, ours]]", "claims has mono over ours, which is not so in the paper's a"),
         ("order_by: a\nclaims: [[ours, gone]]", "claims has ours over gone, but the table has no row gone"),
@@ -152,9 +193,8 @@ def test_an_added_table_needs_no_figures_of_the_paper(tmp_path):
         "title: x\norder_by: test/rayiou\ncolumns: {test/rayiou: R}\nrows: {ours: {title: o}, mono: {title: m}}\n"
     )
     table = load_table(path)
-    text = as_markdown(table, RUNS)
-    assert "| o | here, 2 seeds | 0.300 ± 0.141 |" in text
-    assert "| paper |" not in text
+    assert table_cells(table, RUNS) == (["Method", "R", "Seeds"], [["o", "0.300 ± 0.100", "2"], ["m", "0.100", "1"]])
+    assert table.page == ""
     assert list(pairs_of(table)) == []
 
 

@@ -1,5 +1,6 @@
 """How many seeds a gap needs."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ from scipy import stats
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables import power
-from omniocc.report.tables.paper import load_table
+from omniocc.report.tables.claims import Rows
+from omniocc.report.tables.paper import PaperTable, load_table
 from omniocc.report.tables.power import SeedStd, freedom_of_parts, freedom_of_systems, load_seed_stds, seeds_needed
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
@@ -72,24 +74,34 @@ def test_the_standard_deviations_of_the_runs_are_measured_where_rows_have_two_se
     assert power.measured(TABLES, {"ours": runs("ours", 0.3)}, KEY) is None
 
 
-def test_the_page_has_every_claim_and_standard_deviation():
+def needed(tables: list[PaperTable], rows: Rows, *stds: SeedStd) -> dict[str, list[str]]:
+    """Return the seeds that each claim needs at every standard deviation."""
+    found: dict[str, list[str]] = {}
+    for line in csv.DictReader(power.power_csv(tables, rows, stds).splitlines()):
+        found.setdefault(line["claim"], []).append(list(line.values())[-1])
+    return found
+
+
+def test_the_file_has_every_claim_and_standard_deviation():
     rows = {"ours": runs("ours", 0.235)}
-    text = power.power_chapter(TABLES, rows, [SeedStd("notes", 0.002, 0.01), SeedStd("other notes", 0.0001, 0.0001)])
-    assert "* 0.0020 / 0.0100: notes\n" in text
-    assert "for 9 claims" in text
-    lines = {line.split(" | ")[0]: line.split(" | ")[-2:] for line in text.splitlines()}
+    found = needed(TABLES, rows, SeedStd("notes", 0.002, 0.01), SeedStd("other notes", 0.0001, 0.0001))
+    assert len(found) == 9
     part = seeds_needed(0.235 * 0.005 / 0.470, 0.002, lambda seeds: freedom_of_parts(seeds, 2), 9)
-    assert lines["| omni depth ahead of omni depth w/o dilation"] == [str(part), "3 |"]
-    alone = seeds_needed(0.018, 0.01, freedom_of_systems, 9)
-    assert lines["| omni depth ahead of dense voxels"] == [str(alone), "2 |"]
-    assert power.power_chapter(TABLES, rows, []) == ""
+    assert found["Dilation helps"] == [str(part), "3"]
+    assert found["Sketch ahead of all voxels"] == [str(seeds_needed(0.018, 0.01, freedom_of_systems, 9)), "2"]
+    assert needed(TABLES, {}, SeedStd("notes", 0.002, 0.01))["Dilation helps"] == ["unknown"]
+    assert needed(TABLES, rows) == {}
 
 
 def test_the_noise_of_parts_is_that_of_the_rows_on_the_main_data():
     """Of a table and a copy of it on other data, the five rows of the first."""
     table = TABLES[1]._replace(rows=[row._replace(alone=False) for row in TABLES[1].rows])
     other = table._replace(name="other", rows=[row._replace(run=f"{row.run}@1000") for row in table.rows])
-    assert "known as well as from 5 rows" in power.power_chapter([table, other], {}, [SeedStd("notes", 0.002, 0.01)])
+    found = needed([table, other], {"ours": runs("ours", 0.47)}, SeedStd("notes", 0.002, 0.01))
+    assert found["Dilation helps"] == [
+        str(seeds_needed(0.005, 0.002, lambda seeds: freedom_of_parts(seeds, 5), 8)),
+        "unknown",
+    ]
 
 
 def test_standard_deviations_are_read_and_wrong_ones_are_named(tmp_path):

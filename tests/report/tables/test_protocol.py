@@ -21,32 +21,32 @@ def runs(*protocols):
 
 def test_one_line_where_all_rows_agree():
     rows = {"ours": runs(RAYS, RAYS), "mono": runs(RAYS)}
-    assert protocol_lines(rows, KEYS) == ["RayIoU: rays from the ego origin.", "IoU, mIoU: cells."]
+    assert protocol_lines(rows, KEYS) == ["Voxel RayIoU: rays from the ego origin.", "IoU, mIoU: cells."]
     assert protocol_lines(rows, ["test/lidar/rayiou", "test/sketch/recall"]) == []
-    assert protocol_text(rows, KEYS[:1]) == "\nRayIoU: rays from the ego origin.\n"
+    assert protocol_text(rows, KEYS[:1]) == "\nVoxel RayIoU: rays from the ego origin.\n"
 
 
 def test_rows_are_named_where_they_differ():
     rows = {"ours": runs(RAYS, OTHER), "mono": runs(RAYS), "old": runs(None)}
     assert protocol_lines(rows, KEYS) == [
-        "RayIoU (all rows but old): rays from the ego origin.",
-        "RayIoU (ours): rays from eight origins.",
+        "Voxel RayIoU (all rows but old): rays from the ego origin.",
+        "Voxel RayIoU (ours): rays from eight origins.",
         "IoU, mIoU (all rows but old): cells.",
     ]
     assert protocol_lines({"ours": runs(RAYS, OTHER)}, KEYS[:1]) == [
-        "RayIoU (all rows): rays from the ego origin.",
-        "RayIoU (all rows): rays from eight origins.",
+        "Voxel RayIoU (all rows): rays from the ego origin.",
+        "Voxel RayIoU (all rows): rays from eight origins.",
     ]
 
 
 def test_a_line_that_says_more_at_its_end_holds_for_both():
     before, now = "rays; mean over classes", "rays; mean over classes; rays without a return are free"
     rows = {"old": runs({"lidar/rayiou": before}), "new": runs({"lidar/rayiou": now}, {"lidar/rayiou": before})}
-    assert protocol_lines(rows, ["test/lidar/rayiou"]) == [f"RayIoU, LiDAR: {now}."]
+    assert protocol_lines(rows, ["test/lidar/rayiou"]) == [f"Surface RayIoU: {now}."]
     rows["other"] = runs({"lidar/rayiou": "rays; mean over classes and more"})
     assert protocol_lines(rows, ["test/lidar/rayiou"]) == [
-        f"RayIoU, LiDAR (all rows but other): {now}.",
-        "RayIoU, LiDAR (other): rays; mean over classes and more.",
+        f"Surface RayIoU (all rows but other): {now}.",
+        "Surface RayIoU (other): rays; mean over classes and more.",
     ]
 
 
@@ -67,11 +67,12 @@ def test_claims_about_rows_counted_in_two_ways_are_not_decided():
     }
     rows["random"] = [run._replace(facts=run.facts | {"protocol": OTHER}) for run in rows["random"]]
     part, *_ = verdicts_parts([table], rows, judged([table], rows))
-    found = {line[0].removeprefix("omni depth ahead of "): line[5] for line in part.cells[1]}
-    assert found == {
-        "dense voxels": "undecided", "random voxels": "not compared: other protocols",
-        "omni depth w/o dilation": "not run", "mono depth": "not run",
-    }  # fmt: skip
+    assert {line[0]: line[-1] for line in part.cells[1]} == {
+        "Sketch ahead of all voxels": "undecided",
+        "Sketch ahead of random voxels": "not compared: other protocols",
+        "Dilation helps": "not run",
+        "Omnidirectional ahead of monocular depth": "not run",
+    }
 
 
 def test_records_of_before_have_no_line():

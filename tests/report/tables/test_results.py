@@ -7,7 +7,7 @@ from fake_scene import FakeWorld
 from fake_sweep import CYLINDER, DENSE, OMNI, write_run
 
 from omniocc.errors import UserError
-from omniocc.report.chapters import BEGIN, END, write_docs, write_results_into
+from omniocc.report.docs import BEGIN, END, write_docs, write_results_into
 from omniocc.report.sweep import Sweep, read_sweeps
 from omniocc.report.tables.results import results_lines
 
@@ -78,8 +78,8 @@ def test_the_headline_counts_what_holds(sweep):
         "**3 of the paper's 17 claims hold here, 1 does not, 1 is undecided, 12 have not run.** A re-"
     )
     assert first.endswith(
-        "`preset=tiny`, 1,000 steps of the last stage, 3 seeds. "
-        "After 10,000 steps of the last stage, 3 seeds: 1 holds, 16 have not run."
+        "`preset=tiny`, 1,000 steps of occupancy training, 3 seeds. "
+        "After 10,000 steps of occupancy training, 3 seeds: 1 holds, 16 have not run."
     )
 
 
@@ -93,7 +93,7 @@ def test_unknown_steps_are_named_so(sweep):
     runs = [run._replace(facts={key: run.facts[key] for key in ("seed", "preset", "data")}) for run in sweep.runs]
     lines = results_lines(sweep._replace(runs=runs))
     assert "| Table | Claim | Paper | Here | Verdict | Equal budget | 10,000 steps |" in lines
-    assert "`preset=tiny`, unknown steps of the last stage, 3 seeds. " in lines[0]
+    assert "`preset=tiny`, unknown steps of occupancy training, 3 seeds. " in lines[0]
 
 
 def test_distance_shows_the_paper_beside_ours(sweep):

@@ -1,5 +1,6 @@
 """The same claims after more steps."""
 
+import csv
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.chapters import CURVES_IMAGE, longer_chapter, write_docs
+from omniocc.report.docs import CURVES_IMAGE, write_docs
 from omniocc.report.plots.figures import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
@@ -15,6 +16,7 @@ from omniocc.report.tables import training
 from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 from report import draw_curves
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
@@ -60,17 +62,16 @@ def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
     (claim,) = training.compared(sweeps)
     head, (line,) = training.change_cells([claim], sweeps)
     assert head == [
-        "claim", "paper", "judge", "at 100 steps", "verdict", "at 1000 steps", "verdict", "change",
-        "no change: p (Holm)", "changes",
+        "Claim", "Metric", "100 steps", "Verdict", "1,000 steps", "Verdict", "Change", "No change: p", "Changes",
     ]  # fmt: skip
     assert line == [
-        "omni depth ahead of omni depth w/o dilation", "+0.005", "own voxels", "-0.100 ± 0.000",
+        "Dilation helps", VOXEL_RAYIOU, "-0.100 ± 0.000",
         "does not hold (opposite sign)", "+0.051 ± 0.001", "holds", "+0.151 ± 0.001", ".0042 (.017)", "yes",
     ]  # fmt: skip
 
 
 def compared(judge: str, *gaps: Gap) -> training.Compared:
-    found = {str(place): Judged(Claim(0.1, 0.1, gap), 0.0, 1.0) for place, gap in enumerate(gaps)}
+    found = [Judged(Claim(0.1, 0.1, gap), 0.0, 1.0) for gap in gaps]
     return training.Compared("a ahead of b", judge, found)
 
 
@@ -78,13 +79,13 @@ def test_changes_are_adjusted_within_a_judge():
     """SKETCH has four claims, of which two have run by own voxels and one by LiDAR rays; the last has one seed."""
     moved, stayed = (Gap(0.1, 0.01, 4), Gap(0.2, 0.01, 4)), (Gap(0.1, 0.01, 4), Gap(0.1, 0.01, 4))
     unknown = Gap(0.1, 0.01, 4), Gap(0.2, math.nan, 0)
-    claims = [compared("own voxels", *moved), compared("own voxels", *stayed), compared("LiDAR rays", *moved)]
-    first, second, alone, none = training.adjusted_changes([*claims, compared("LiDAR rays", *unknown)], [SKETCH])
+    claims = [compared(VOXEL_RAYIOU, *moved), compared(VOXEL_RAYIOU, *stayed), compared(SURFACE_RAYIOU, *moved)]
+    first, second, alone, none = training.adjusted_changes([*claims, compared(SURFACE_RAYIOU, *unknown)], [SKETCH])
     p_value = 2 * stats.t.sf(0.1 / math.hypot(0.01, 0.01), 8)
     assert (first, second, alone) == (pytest.approx(4 * p_value), 1.0, pytest.approx(4 * p_value))
     assert math.isnan(none)
     sweeps = {steps: Sweep([], {}, "", "", [SKETCH], []) for steps in "01"}
-    _, lines = training.change_cells([claims[1], compared("LiDAR rays", *unknown)], sweeps)
+    _, lines = training.change_cells([claims[1], compared(SURFACE_RAYIOU, *unknown)], sweeps)
     assert [line[-3:] for line in lines] == [
         ["+0.000 ± 0.014", "1 (1)", "not found"], ["+0.100", "–", "unknown"],
     ]  # fmt: skip
@@ -100,10 +101,10 @@ def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):
     both = short._replace(longer=[long])
     (claim,) = training.compared(training.by_steps(both))
     assert claim.title == "OmniDepth-Occ ahead of VoxFormer"
-    assert [round(found.claim.gap.here, 3) for found in claim.found.values()] == [0.095, 0.296]
-    text = training.chapter(both)
-    assert "| voxformer_pinhole | 0.110 ± 0.014 | 0.110 ± 0.014 | – | – |" in text
-    assert "| voxformer_pinhole | 1000 | 0.055 | 0.055 | 0.090 | 0.090 | 0.110 |" in text
+    assert [round(found.claim.gap.here, 3) for found in claim.found if found] == [0.095, 0.296]
+    short, long = (line for line in csv_of(both) if line["row"] == "voxformer_pinhole")
+    assert [line["voxel RayIoU, mean"] for line in (short, long)] == ["0.11", "0.11"]
+    assert [long[column] for column in list(long)[-5:]] == ["0.055", "0.055", "0.09", "0.09", "0.11"]
 
 
 def test_claims_on_a_band_of_distance_name_it(sweep, tmp_path):
@@ -117,20 +118,28 @@ def test_claims_on_a_band_of_distance_name_it(sweep, tmp_path):
     assert claim.title == "OmniDepth-Occ ahead of BEVDet, 0-8.5 m"
 
 
-def test_the_page_has_scores_claims_and_curves(sweep):
-    text = training.chapter(sweep)
-    assert "| ours | 0.205 ± 0.007 | 0.406 ± 0.008 | – | – |" in text
-    assert "| dense |" not in text
-    assert "| ours | 1000 | 0.203 | 0.203 | 0.386 | 0.386 | 0.406 |" in text
-    assert training.chapter(sweep._replace(longer=[])) == ""
+def csv_of(sweep: Sweep) -> list[dict[str, str]]:
+    text = training.training_csv(training.runs_by_row(sweep), {"ours": "OmniDepth-Occ"})
+    return list(csv.DictReader(text.splitlines()))
+
+
+def test_the_file_has_scores_and_curves(sweep):
+    first, second, *others = csv_of(sweep)
+    assert (first["method"], first["steps"], first["voxel RayIoU, mean"]) == ("OmniDepth-Occ", "100", "0.205")
+    assert (second["steps"], second["voxel RayIoU, mean"]) == ("1000", "0.406")
+    assert second["voxel RayIoU, standard error"] == "0.006"
+    assert [second[column] for column in list(second)[-5:]] == ["0.203", "0.203", "0.386", "0.386", "0.406"]
+    assert {line["row"] for line in others} == {"wo_dilation"}
+    assert training.changes_part(sweep._replace(longer=[])) == []
 
 
 def test_runs_of_other_rows_with_more_steps_have_no_columns(sweep, tmp_path):
     budget = {"dense_budget": runs(tmp_path, "dense_budget", 310, 0.2, 0.3)}
     other = sweep._replace(runs=[*budget["dense_budget"]], rows=budget)
     both = sweep._replace(longer=[other, *sweep.longer])
-    assert training.chapter(both) == training.chapter(sweep)
-    assert training.parts_of(sweep._replace(longer=[other])) == []
+    assert training.changes_part(both) == training.changes_part(sweep)
+    assert csv_of(both) == csv_of(sweep)
+    assert training.changes_part(sweep._replace(longer=[other])) == []
 
 
 def test_the_picture_has_a_line_for_each_row_and_number_of_steps(sweep):
@@ -143,47 +152,34 @@ def test_the_picture_has_a_line_for_each_row_and_number_of_steps(sweep):
     assert drawn["-", 100, 499, 1000] == pytest.approx([0.1775, 0.335, 0.355])
 
 
-def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path):
-    (page,) = (path for path in write_docs([sweep], tmp_path) if path.name == "training.md")
-    assert page.read_text().rstrip().endswith(f"({CURVES_IMAGE})")
+def test_the_page_of_claims_has_the_changes_and_the_picture(sweep, tmp_path):
+    (page,) = (path for path in write_docs([sweep], tmp_path) if path.name == "claims.md")
     lines = page.read_text().splitlines()
-    headings = [line.split(" ")[0] for line in lines if line.startswith("#")]
-    assert headings == ["#", "##", "##"]
+    assert [line for line in lines if line.startswith("## ")][-2:] == [f"## {training.TITLE}", "## Learning curves"]
+    (image,) = (line.partition("](")[2].rstrip(")") for line in lines if line.startswith("!["))
     assert [line for line, after in pairwise(lines) if line.startswith("|") and after[:1] not in ("|", "")] == []
     draw_curves(sweep, tmp_path)
-    first = (tmp_path / CURVES_IMAGE).read_bytes()
+    first = (page.parent / image).read_bytes()
     draw_curves(sweep, tmp_path)
     assert first.startswith(b"<?xml")
     assert (tmp_path / CURVES_IMAGE).read_bytes() == first
 
 
-def test_more_steps_have_a_page_of_their_tables_without_rows_that_have_not_run(sweep, tmp_path):
-    (page,) = (path for path in write_docs([sweep], tmp_path) if path.name.startswith("steps_"))
-    lines = page.read_text().splitlines()
-    assert page.name == "steps_1000.md"
-    headings = [line for line in lines if line.startswith("#")]
-    assert headings[:2] == ["# The tables at 1000 steps", "## All claims"]
-    assert f"## {SKETCH.title}" in headings
-    begin = lines.index(f"## {SKETCH.title}")
-    figures = [line.split(" | ")[0] for line in lines[begin:] if "| here, 2 seeds |" in line]
-    assert figures == ["| omni depth", "| omni depth w/o dilation"]
-    assert not any("here: not run" in line for line in lines)
-    assert any(line.startswith("4 runs, seeds 0, 1; preset=tiny, 1000 steps") for line in lines)
-
-
-def test_a_table_of_one_row_with_more_steps_is_left_out(sweep, tmp_path):
-    (longer,) = sweep.longer
-    alone = longer._replace(rows={"ours": longer.rows["ours"]}, runs=[*longer.rows["ours"]])
-    assert f"## {SKETCH.title}" not in longer_chapter(alone, "100")
-    assert f"## {SKETCH.title}" in longer_chapter(longer, "100")
+def test_the_files_of_tables_have_more_steps_without_rows_that_have_not_run(sweep, tmp_path):
+    (path,) = (path for path in write_docs([sweep], tmp_path) if path.name == "sketch.csv")
+    lines = [line for line in csv.DictReader(path.read_text().splitlines()) if line["key"] == "test/rayiou"]
+    assert [line["row"] for line in lines if line["steps"] == "1000"] == ["ours", "wo_dilation"]
+    assert [line["mean"] for line in lines if line["row"] == "ours"] == ["0.205", "0.406"]
 
 
 def test_without_longer_runs_there_is_no_picture(sweep, tmp_path):
-    draw_curves(sweep._replace(longer=[]), tmp_path)
+    alone = sweep._replace(longer=[])
+    draw_curves(alone, tmp_path)
     assert not (tmp_path / CURVES_IMAGE).exists()
-    assert not [path for path in write_docs([sweep._replace(longer=[])], tmp_path) if path.name.startswith("steps_")]
+    (page,) = (path for path in write_docs([alone], tmp_path) if path.name == "claims.md")
+    assert "![" not in page.read_text()
 
 
 def test_the_change_is_from_the_fewest_to_the_most_steps():
-    claim = compared("own voxels", Gap(0.1, 0.0, 4), Gap(0.5, 0.0, 4), Gap(0.2, 0.0, 4))
+    claim = compared(VOXEL_RAYIOU, Gap(0.1, 0.0, 4), Gap(0.5, 0.0, 4), Gap(0.2, 0.0, 4))
     assert claim.change.here == pytest.approx(0.1)

@@ -154,10 +154,8 @@ def robustness_csv(records: Sequence[Robustness], names: Mapping[str, str]) -> s
             drops = [(part.scores.get(key), *drop_of(part, record.undisturbed, key)) for key in keys]
             cells += [exact(value) for each in drops for value in each]
             cells.append(exact(relative_drop(part, record.undisturbed)))
-            if part is record.undisturbed:
-                cells += [record.facts.get(key, "") for key in facts]
-                cells.append("; ".join(record.facts.get("left out", [])))
-            lines.append(cells)
+            source = [*(record.facts.get(key, "") for key in facts), "; ".join(record.facts.get("left out", []))]
+            lines.append([*cells, *(source if part is record.undisturbed else [""] * len(source))])
     return csv_text(head, lines)
 
 
