@@ -67,7 +67,7 @@ def test_claims_about_rows_counted_in_two_ways_are_not_decided():
     }
     rows["random"] = [run._replace(facts=run.facts | {"protocol": OTHER}) for run in rows["random"]]
     part, *_ = verdicts_parts([table], rows, judged([table], rows))
-    assert {line[0]: line[-1] for line in part.cells[1]} == {
+    assert {line[0]: line[2] for line in part.cells[1]} == {
         "Sketch ahead of all voxels": "undecided",
         "Sketch ahead of random voxels": "not compared: other protocols",
         "Dilation helps": "not run",

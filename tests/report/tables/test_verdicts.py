@@ -23,12 +23,12 @@ def test_claims_stand_once_and_by_verdict():
     part, surface, _ = verdicts_parts([SKETCH, again], runs, judged([SKETCH, again], runs))
     lines = part.cells[1]
     assert (part.title, surface.title) == ("Claims by voxel RayIoU", "Claims by surface RayIoU")
-    assert [(line[0], line[-1]) for line in lines] == [
+    assert [(line[0], line[2]) for line in lines] == [
         ("Sketch ahead of random voxels", "holds"), ("Dilation helps", "undecided"),
         ("Omnidirectional ahead of monocular depth", "not run"), ("Sketch ahead of all voxels", "not run"),
     ]  # fmt: skip
-    assert lines[0][1:7] == ["Table VI", "+0.069", "+0.044", "+0.100 ± 0.001", "–", "3 and 3"]
-    assert {line[-1] for line in surface.cells[1]} == {"not compared: other protocols", "not run"}
+    assert lines[0][3:8] == ["+0.100 ± 0.001", "+0.069", "+0.044", "–", "3 and 3"]
+    assert {line[2] for line in surface.cells[1]} == {"not compared: other protocols", "not run"}
     assert verdicts_parts([], {}, {}) == []
 
 
@@ -43,9 +43,9 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
     *_, (_, title, _, (_, lines)) = verdicts_parts([part], runs, decided)
     assert title == "Claims by paired differences"
     wo_dilation, random = lines
-    assert wo_dilation[3:] == ["3", "-0.006 ± 0.029", ".86 (1)", "undecided", "undecided"]
-    assert random[:5] == ["Sketch ahead of random voxels", "Table VI", "voxel RayIoU", "3", "+0.100 ± 0.000"]
-    assert random[6:] == ["holds", "undecided"]
+    assert wo_dilation[3:] == ["undecided", "undecided", "-0.006 ± 0.029", ".86 (1)", "3"]
+    assert random[:3] == ["Sketch ahead of random voxels", "Table VI", "voxel RayIoU"]
+    assert random[3:6] == ["undecided", "holds", "+0.100 ± 0.000"]
     (line, other) = (dict(zip(CSV_HEAD, each, strict=True)) for each in csv_lines([part], runs, decided, "1000"))
     assert (line["claim"], line["steps"], line["paired verdict"]) == ("Dilation helps", "1000", "undecided")
     assert (other["gap here"], other["paired gap"], other["seeds in common"]) == ("0.0999667", "0.0999667", "3")

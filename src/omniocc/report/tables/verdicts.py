@@ -70,17 +70,18 @@ class ClaimLine(NamedTuple):
     @property
     def cells(self) -> list[str]:
         """Return the cells of a line of its metric's table."""
-        first = [self.title, self.table.short, signed(self.table.printed_gap(self.better, self.other))]
+        first = [self.title, self.table.short, self.verdict]
+        printed = signed(self.table.printed_gap(self.better, self.other))
         if self.found is None:
-            return [*first, *["–"] * 6, self.verdict]
+            return [*first, "–", printed, *["–"] * 5]
         claim, none, size = self.found
+        gaps = [claim.gap.written, printed, signed(claim.size), number(claim.streets)]
         tests = p_cell(claim.gap.p_none, none), p_cell(claim.p_size, size)
-        seeds = " and ".join(map(str, self.seeds))
-        return [*first, signed(claim.size), claim.gap.written, number(claim.streets), seeds, *tests, self.verdict]
+        return [*first, *gaps, " and ".join(map(str, self.seeds)), *tests]
 
 
-HEAD = ["Claim", "Table", "Paper", "Rescaled", "Gap here", "Error over scenes", "Seeds", "No gap: p"]
-HEAD += ["Paper's gap: p", "Verdict"]
+HEAD = ["Claim", "Table", "Verdict", "Gap here", "Paper", "Rescaled", "Error over scenes", "Seeds", "No gap: p"]
+HEAD += ["Paper's gap: p"]
 """Titles of `ClaimLine.cells`."""
 
 
@@ -119,11 +120,11 @@ def verdicts_parts(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Na
 
 def paired_cells(lines: Sequence[tuple[ClaimLine, Judged]]) -> Cells:
     """Return head and a line for each claim and metric by paired differences, beside the verdict that decides."""
-    head = ["Claim", "Table", "Metric", "Seeds in common", "Gap here", "No gap: p", "Paired verdict", "Verdict"]
+    head = ["Claim", "Table", "Metric", "Verdict", "Paired verdict", "Gap here", "No gap: p", "Seeds in common"]
     return head, [
         [
-            line.title, line.table.short, line.judge, f"{found.claim.gap.freedom + 1:.0f}", found.claim.gap.written,
-            p_cell(found.claim.gap.p_none, found.none), found.verdict, line.verdict,
+            line.title, line.table.short, line.judge, line.verdict, found.verdict, found.claim.gap.written,
+            p_cell(found.claim.gap.p_none, found.none), f"{found.claim.gap.freedom + 1:.0f}",
         ]
         for line, found in lines
     ]  # fmt: skip
