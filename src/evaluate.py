@@ -31,11 +31,12 @@ from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns, takes_true_range
 from omniocc.progress import Progress
 from omniocc.report.tables.formats import parts_text
-from omniocc.report.tables.robustness import report_parts, robustness_csv, robustness_text
+from omniocc.report.tables.robustness import report_parts, robustness_csv
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
 from omniocc.run.robustness import FOLDER, Robustness, save_robustness
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.run.table import in_columns
 from omniocc.run.wandb import Loggers
 from omniocc.run.wandb.robustness import log_robustness
 from omniocc.run.weights import SHIPPED, find_checkpoint
@@ -211,7 +212,8 @@ def score_robustness(
         records.append(record)
         print(f"table     {folder / 'table.md'}", flush=True)
     if records:
-        print(f"\n{robustness_text(records)}\n\nall systems: python src/report.py")
+        tables = [f"{in_columns(*part.cells)}\n\n{part.note}" for part in report_parts(records)]
+        print("\n\n".join(["", *tables, "all systems: python src/report.py"]))
     raise_all(refused)
 
 

@@ -137,7 +137,7 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     markdown = (output / "report.md").read_text("utf-8")
     claim = "| Sketch ahead of all voxels | Table VI | undecided (one seed only) | +0.120 | +0.036 | +0.025 | – |"
     assert claim in markdown
-    assert "| This dataset (here) | – | ✓ |" in markdown
+    assert "| OmniDepth-Occ (here) | – | ✓ |" in markdown
     assert markdown.index("## Table I: ") < markdown.index("## Table II: ")
     folder = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
     assert (output / folder / "config.yaml").exists()

@@ -9,7 +9,7 @@ from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, robustness, training
 from omniocc.report.tables.formats import Part, parts_text
 from omniocc.report.tables.overview import overview_keys, table_of_runs
-from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, method_names, order_line, runs_of, table_cells
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, method_names, runs_of, table_cells
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.report.tables.verdicts import verdicts_parts
 
@@ -37,9 +37,9 @@ def report_markdown(sweep: Sweep) -> str:
 
 
 def table_part(table: PaperTable, sweep: Sweep) -> Part:
-    """Return a table of methods with its note, the order of the methods and how their scores were counted."""
+    """Return a table of methods with its note, and how their scores were counted."""
     counted = protocol_lines(runs_of(table, sweep.table_rows), table.columns)
-    note = "\n\n".join(filter(None, [table.note, order_line(table, sweep.table_rows), *counted]))
+    note = "\n\n".join(filter(None, [table.note, *counted]))
     return Part(table.name, table.heading, note, table_cells(table, sweep.table_rows))
 
 

@@ -8,7 +8,7 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.progress import Progress
 from omniocc.report.chapters import SPREAD, bounds_part, budget_part
-from omniocc.report.dataset.table import dataset_csv, dataset_part, with_records
+from omniocc.report.dataset.table import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness, training
@@ -187,10 +187,9 @@ def claims_csv(sweep: Sweep) -> str:
 
 
 def documented(sweep: Sweep) -> Sweep:
-    """Return a sweep with what the tables say of the runs of the documentation, and with datasets as runs name them."""
+    """Return a sweep with what the tables say of the runs of the documentation."""
     tables = [table._replace(note=f"{table.note} {table.here}".strip()) for table in sweep.tables]
-    runs = [run for runs in sweep.table_rows.values() for run in runs]
-    return sweep._replace(tables=tables, datasets=[with_records(table, runs) for table in sweep.datasets])
+    return sweep._replace(tables=tables)
 
 
 def results_block(sweep: Sweep) -> list[str]:

@@ -11,7 +11,7 @@ from omniocc.report.dataset.table import (
     is_dataset_table,
     load_dataset_table,
     scenes_of,
-    with_ours,
+    with_records,
 )
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import HASH, FinishedRun, read_runs
@@ -117,7 +117,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting, first)
         rows, scenes = by_row(kept), scenes_of(kept[0])
-        datasets = [with_ours(table, scenes) for table in of_datasets]
+        datasets = [with_records(table, [*kept, *finished]) for table in of_datasets]
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
         data = facts_of_scenes(scenes) if scenes else ""
         own = [test for test in tests if test.system in {run.name for run in kept}]

@@ -14,7 +14,7 @@ from omniocc.report.dataset.table import (
     is_dataset_table,
     load_dataset_table,
     scenes_of,
-    with_ours,
+    with_records,
 )
 from omniocc.report.runs import read_runs
 
@@ -29,26 +29,29 @@ def test_the_papers_rows_are_those_on_the_page_of_a_dataset():
     assert not is_dataset_table(PATH.with_name("sketch.yaml"))
 
 
-def test_our_row_is_read_from_the_scenes_that_the_runs_used(runs):
-    run = read_runs(runs)[0]
-    table = with_ours(load_dataset_table(PATH), scenes_of(run))
-    assert dataset_cells(table)[1][-1] == ["This dataset (here)", "–", "✓", "✓", "✓", "✓", "16"]
-    assert dataset_csv(table).splitlines()[-1] == "This dataset (here),False,True,True,True,True,16"
+def test_our_row_is_that_of_the_configurations_of_the_runs(runs):
+    first, *others = read_runs(runs)
+    table = with_records(load_dataset_table(PATH), [first, *others])
+    assert dataset_cells(table)[1][-1] == ["OmniDepth-Occ (here)", "–", "✓", "✓", "✓", "✓", "16"]
+    assert dataset_csv(table).splitlines()[-1] == "OmniDepth-Occ (here),no,yes,yes,yes,yes,16"
     assert r"OmniDepth-Occ (paper) & \checkmark & \checkmark" in dataset_latex(table)
-    assert facts_of_scenes(scenes_of(run)) == (
-        "2 scenes (8 frames) for train, 1 scenes (4 frames) for val, 1 scenes (4 frames) for test; 2 kinds of places."
-    )
+    source = first.config["data"]["source"] | {"rig": "pinhole6"}
+    pinhole = first._replace(config={"data": {"source": source}})
+    assert with_records(load_dataset_table(PATH), [first, pinhole]).rows[-1][1][:2] == [True, True]
+    assert with_records(load_dataset_table(PATH), [first._replace(config={})]) == load_dataset_table(PATH)
 
 
 def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
     run = read_runs(runs)[0]
+    assert facts_of_scenes(scenes_of(run)) == (
+        "2 scenes (8 frames) for train, 1 scenes (4 frames) for val, 1 scenes (4 frames) for test; 2 kinds of places."
+    )
     for other in (
         run._replace(facts=run.facts | {"data": "another"}),
         run._replace(config={"data": {"source": {"_target_": "omniocc.data.VirtualWorld", "gone": 1, "root": "x"}}}),
         run._replace(config={}),
     ):
         assert scenes_of(other) == []
-    assert dataset_cells(with_ours(load_dataset_table(PATH), []))[1][-1][0] == "here: not on this machine"
 
 
 def test_a_row_with_too_few_cells_is_named(tmp_path):

@@ -14,6 +14,8 @@ def test_as_r_adjusts():
     assert holm([0.03, 0.001, 0.9, 0.001, 0.2]) == pytest.approx([0.09, 0.005, 0.9, 0.005, 0.4])
     assert holm([]) == []
     assert holm([0.6, 0.7]) == [1.0, 1.0]
+    assert holm([0.01, np.nan, 0.02]) == pytest.approx([0.02, np.nan, 0.02], nan_ok=True)
+    assert holm([0.01, np.nan], tests=4) == pytest.approx([0.04, np.nan], nan_ok=True)
 
 
 def test_it_is_the_closed_test_of_bonferronis():

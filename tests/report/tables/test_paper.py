@@ -19,7 +19,6 @@ from omniocc.report.tables.paper import (
     is_table,
     load_table,
     method_names,
-    order_line,
     table_cells,
 )
 from omniocc.run.rows import known_rows
@@ -102,21 +101,6 @@ def test_a_wide_table_has_a_line_for_each_column():
     assert list(found) == [*table.columns.values(), "Seeds"]
     assert found[table.columns["test/rayiou"]] == ["0.470", "0.300 ± 0.100"]
     assert found["Seeds"] == ["–", "2"]
-
-
-def test_the_order_of_the_methods_is_compared_with_the_papers():
-    names = {row.run: row.title for row in SKETCH.rows}
-    text = order_line(SKETCH, RUNS)
-    paper, here = (" > ".join(names[row] for row in rows.split()) for rows in ("ours dense mono", "dense ours mono"))
-    assert f"the paper says {paper}; here {here}" in text
-    assert "tau 0.33" in text
-
-
-def test_fewer_than_three_methods_or_equal_figures_have_no_order():
-    same = {"ours": RUNS["ours"][:1], "mono": [run("mono-01234567", 0, 0.2)]}
-    assert order_line(SKETCH, same) == ""
-    same["dense"] = [run("dense-01234567", 0, 0.2)]
-    assert "(Kendall's tau not defined: all are equal)" in order_line(SKETCH, same)
 
 
 def test_rows_are_called_by_the_papers_titles_and_told_apart():

@@ -13,15 +13,13 @@ from omniocc.data.store.files import is_url, list_folders
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import UserError
-from omniocc.report.dataset.facts import own_row, pinhole_twin
+from omniocc.report.dataset.facts import own_row
 from omniocc.report.runs import FinishedRun, read_mapping
 from omniocc.report.tables.formats import Part, csv_text, tabular
 from omniocc.report.tables.paper import NUMERALS
 from omniocc.run.table import Cells
 
 Row = tuple[str, Sequence[bool | int]]
-PAPER = "(paper)"
-"""End of the names of rows that are the paper's."""
 VIRTUAL_WORLD = "omniocc.data.VirtualWorld"
 
 
@@ -63,7 +61,7 @@ def load_dataset_table(path: Path) -> DatasetTable:
     content = read_mapping(path)
     try:
         columns = content["columns"]
-        rows = [(f"{row['title']} {PAPER}", row["paper"]) for row in content["rows"].values()]
+        rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
         table = DatasetTable(path.stem, content["title"], content["note"], columns, rows, content.get("number", 0))
     except (AttributeError, KeyError, TypeError) as error:
         raise UserError(f"{path} is not a table of datasets: {error}; see sweeps/dataset.yaml") from error
@@ -73,30 +71,21 @@ def load_dataset_table(path: Path) -> DatasetTable:
     return table
 
 
-def with_ours(table: DatasetTable, scenes: Sequence[SceneReader]) -> DatasetTable:
-    """Return the table with a row for the dataset that runs used; `scenes` are all of it, none if it is elsewhere."""
-    if not scenes:
-        return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
-    name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])
-    return table._replace(rows=[*table.rows, (f"{name} (here)", cells)])
-
-
 def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
-    """Return the paper's rows, and ours as the configurations of runs describe it, without its files.
+    """Return the table with a row for the dataset of runs, as their configurations describe it.
 
     It has the frames of the first run, and the cameras of all runs. In the virtual world every pixel has class and
     range, and points from which any grid is filled.
     """
-    rows = [row for row in table.rows if row[0].endswith(PAPER)]
     sources = [run.config.get("data", {}).get("source", {}) for run in runs]
     virtual = [source for source in sources if source.get("_target_") == VIRTUAL_WORLD]
     if not virtual or virtual[0] is not sources[0]:
-        return table._replace(rows=rows)
+        return table
     rigs = [Rig.load(name) for name in dict.fromkeys(source["rig"] for source in virtual) if name != RANDOM]
     pinhole = {isinstance(camera, Pinhole) for rig in rigs for camera in rig.cameras}
     frames = sum(virtual[0][f"{split}_scenes"] for split in SPLITS) * virtual[0]["frames_per_scene"]
     cells = [True in pinhole, False in pinhole, True, True, True, frames]
-    return table._replace(rows=[*rows, ("OmniDepth-Occ (here)", cells)])
+    return table._replace(rows=[*table.rows, ("OmniDepth-Occ (here)", cells)])
 
 
 def with_folders(table: DatasetTable, folders: Sequence[Path]) -> DatasetTable:

@@ -220,19 +220,11 @@ def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> di
     for judge in JUDGES:
         claims = claims_of(tables, rows, judge, paired)
         planned = planned_claims(tables, judge)
-        none = _adjusted({name: claim.gap.p_none for name, claim in claims.items()}, len(planned))
+        none = holm([claim.gap.p_none for claim in claims.values()], len(planned))
         printed = [claim for claim in planned if not math.isnan(claim[0].printed_gap(*claim[1:]))]
-        size = _adjusted({name: claim.p_size for name, claim in claims.items()}, len(printed))
-        found |= {
-            name: Judged(claim, none.get(name, math.nan), size.get(name, math.nan)) for name, claim in claims.items()
-        }
+        size = holm([claim.p_size for claim in claims.values()], len(printed))
+        found |= {name: Judged(*each) for name, each in zip(claims, zip(claims.values(), none, size), strict=True)}
     return found
-
-
-def _adjusted(p_values: Mapping[Name, float], tests: int) -> dict[Name, float]:
-    """Return the p-values that are known, adjusted by Holm for a number of tests."""
-    known = {name: p_value for name, p_value in p_values.items() if not math.isnan(p_value)}
-    return dict(zip(known, holm(list(known.values()), tests), strict=True))
 
 
 def signed(gap: float) -> str:

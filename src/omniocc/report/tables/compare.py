@@ -133,13 +133,11 @@ def most_alike(first: Sequence[Runs], other: Sequence[Runs]) -> tuple[Runs, Runs
 def lines_of(pairs: Sequence[Pair], judge: str) -> Iterator[str]:
     """Yield the line of each pair in one metric."""
     gaps = [gap_of(*pair.runs, f"{JUDGES[judge]}rayiou") for pair in pairs]
-    tested = [place for place, (gap, _) in enumerate(gaps) if not math.isnan(gap.error)]
-    adjusted = dict(zip(tested, holm([gaps[place][0].p_none for place in tested]), strict=True))
-    for place, (pair, (gap, seeds)) in enumerate(zip(pairs, gaps, strict=True)):
-        p_value = adjusted.get(place, math.nan)
+    adjusted = holm([gap.p_none for gap, _ in gaps])
+    for pair, (gap, seeds), p_value in zip(pairs, gaps, adjusted, strict=True):
         tests = p_cell(gap.p_none, p_value) if len(pairs) > 1 else p_text(gap.p_none)
         measured = f"gap {gap.written} ({seeds})" if seeds else "not compared"
-        shown = f"{measured}, p {tests}" if place in adjusted else measured
+        shown = measured if math.isnan(p_value) else f"{measured}, p {tests}"
         yield f"{judge:<14}  {shown}: {verdict(pair, gap, p_value)}"
 
 

@@ -58,9 +58,7 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
     if min(map(len, samples)) < 2:
         return Gap(here, math.nan, 0)
     squares = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
-    square = sum(squares)
-    parts = sum(one * one / (len(sample) - 1) for one, sample in zip(squares, samples, strict=True))
-    return Gap(here, math.sqrt(square), square * square / parts if parts else sum(map(len, samples)) - 2)
+    return Gap(here, *_combined(squares, [len(sample) - 1 for sample in samples]))
 
 
 def paired_gap(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
@@ -80,10 +78,14 @@ def paired_gap(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key:
 def change(first: Gap, last: Gap) -> Gap:
     """Return how far a gap has moved, as if the two had no noise in common; degrees of freedom by Satterthwaite."""
     squares = [gap.error * gap.error for gap in (first, last)]
+    return Gap(last.here - first.here, *_combined(squares, [first.freedom, last.freedom]))
+
+
+def _combined(squares: Sequence[float], freedoms: Sequence[float]) -> tuple[float, float]:
+    """Return the error of a sum of independent terms, and its degrees of freedom by Satterthwaite."""
     square = sum(squares)
-    parts = sum(each * each / gap.freedom for each, gap in zip(squares, (first, last), strict=True) if gap.freedom)
-    freedom = square * square / parts if parts else first.freedom + last.freedom
-    return Gap(last.here - first.here, math.sqrt(square), freedom)
+    parts = sum(each * each / freedom for each, freedom in zip(squares, freedoms, strict=True) if freedom)
+    return math.sqrt(square), square * square / parts if parts else sum(freedoms)
 
 
 def _figures(runs: Sequence[FinishedRun], key: str) -> list[tuple[FinishedRun, float]]:

@@ -8,8 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from scipy import stats
-
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun, read_mapping
 from omniocc.report.tables.formats import csv_text, exact, tabular
@@ -250,28 +248,6 @@ def runs_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> dic
 def has_paper(row: PaperRow) -> bool:
     """Return whether the paper has any figure of this method."""
     return any(value is not None for value in row.paper.values())
-
-
-def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return a sentence with the paper's order and ours, and Kendall's tau between them.
-
-    It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures. The sentence is empty
-    for fewer than three such methods.
-    """
-    both = []
-    for row in table.rows:
-        figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
-        if figure is not None and paper is not None:
-            both.append((row.title, paper, figure.mean))
-    if len(both) < 3:
-        return ""
-    orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
-    result: Any = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
-    tau = float(result.statistic)
-    agreement = "not defined: all are equal" if math.isnan(tau) else f"{tau:.2f}"
-    title = table.columns[table.order_by]
-    same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
-    return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {agreement})."
 
 
 def as_csv(table: PaperTable, *of_steps: Mapping[str, Sequence[FinishedRun]]) -> str:

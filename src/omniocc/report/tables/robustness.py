@@ -10,7 +10,7 @@ from omniocc.report.runs import HASH
 from omniocc.report.tables.budget import named
 from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind, relative_drop
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, in_columns, number
+from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, number
 
 TITLE = "What breaks them"
 NOTE = (
@@ -157,15 +157,6 @@ def robustness_csv(records: Sequence[Robustness], names: Mapping[str, str]) -> s
             source = [*(record.facts.get(key, "") for key in facts), "; ".join(record.facts.get("left out", []))]
             lines.append([*cells, *(source if part is record.undisturbed else [""] * len(source))])
     return csv_text(head, lines)
-
-
-def robustness_text(records: Sequence[Robustness]) -> str:
-    """Return the comparison for a terminal."""
-    groups = comparable(records)
-    tables = [
-        table for group in groups for table in (in_columns(*part_cells(group)), in_columns(*relative_cells(group)))
-    ]
-    return "\n\n".join([*tables, *filter(None, map(verdict, groups))])
 
 
 def _drop(part: PartScores | None, record: Robustness, key: str = "rayiou") -> str:

@@ -141,16 +141,13 @@ def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cel
 def adjusted_changes(claims: Sequence[Compared], tables: Sequence[PaperTable]) -> list[float]:
     """Return the p-value of 'the gap does not change' of each claim, adjusted by Holm.
 
-    The family of a metric has the claims of all tables, as that of verdicts, whether their rows have run or not.
+    The family of a metric has the claims of all tables, as that of verdicts, whether their rows have run or not. Claims
+    are in the order of metrics.
     """
-    found = [math.nan] * len(claims)
+    found: list[float] = []
     for judge in JUDGES:
-        places = [
-            place for place, claim in enumerate(claims) if claim.judge == judge and not math.isnan(claim.change.error)
-        ]
-        p_values = holm([claims[place].change.p_none for place in places], len(planned_claims(tables, judge)))
-        for place, p_value in zip(places, p_values, strict=True):
-            found[place] = p_value
+        p_values = [claim.change.p_none for claim in claims if claim.judge == judge]
+        found += holm(p_values, len(planned_claims(tables, judge)))
     return found
 
 
