@@ -1,6 +1,5 @@
-"""The refiner of docs/how_to/add_a_part.md: its test passes, its yaml and row compose, its table is what is printed."""
+"""The refiner of docs/how_to/add_a_part.md: its test passes, its yaml makes a model, its table is what is printed."""
 
-import inspect
 import re
 import shutil
 import sys
@@ -10,10 +9,10 @@ from types import ModuleType
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from scripts import run_script
 
-import omniocc.model.refiner
-from omniocc.config import compose_plain
+from omniocc.config import build, check_root, compose_plain
 from omniocc.geometry import Cylinder
 
 ROOT = Path(__file__).parents[1]
@@ -26,17 +25,17 @@ OF_PACKAGES = dict(FILE.findall((HOW_TO / "own_modules.md").read_text()))
 
 def module(path: str, files: Mapping[str, str] = FILES) -> ModuleType:
     """Return the Python file of a page as a module."""
-    made = ModuleType(Path(path).stem)
+    made = ModuleType(path.removeprefix("src/").removesuffix(".py").replace("/", "."))
     exec(compile(files[path], path, "exec"), made.__dict__)
     return made
 
 
 @pytest.fixture
 def my_refiner(monkeypatch) -> type:
-    """Return the class of the page, exported as the page says."""
-    made = module("src/omniocc/model/refiner/my_refiner.py").MyRefiner
-    monkeypatch.setattr(omniocc.model.refiner, "MyRefiner", made, raising=False)
-    return made
+    """Return the class of the page, importable as if its file were there."""
+    made = module("src/omniocc/model/refiner/my_refiner.py")
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    return made.MyRefiner
 
 
 def test_the_test_of_the_page_passes_and_finds_a_seam(my_refiner, monkeypatch):
@@ -58,15 +57,18 @@ def test_the_refiner_of_a_package_of_ones_own_has_no_seam_either():
     torch.testing.assert_close(refiner(volume.roll(1, dims=3), None), refined.roll(1, dims=3))
 
 
-def test_yaml_and_row_of_the_page_compose_with_the_arguments_of_the_class(my_refiner, tmp_path):
+def test_the_three_files_of_the_page_are_an_option_at_every_preset(my_refiner, tmp_path):
+    code, option, test = FILES
+    assert (Path(code).stem, Path(option).stem, Path(test).stem) == ("my_refiner", "my_refiner", "test_my_refiner")
     shutil.copytree(ROOT / "conf", tmp_path / "conf")
-    for name in ("conf/model/refiner/my_refiner.yaml", "conf/ablation/my_refiner.yaml"):
-        (tmp_path / name).write_text(FILES[name])
-    composed = compose_plain(tmp_path / "conf", "train", ["preset=smoke", "+ablation=my_refiner"])
-    assert composed["name"] == "my_refiner"
-    option = composed["model"]["refiner"]
-    assert option.pop("_target_") == "omniocc.model.refiner.MyRefiner"
-    assert list(option) == list(inspect.signature(my_refiner).parameters)
+    (tmp_path / option).write_text(FILES[option])
+    for preset in ("smoke", "tiny", "small", "paper"):
+        words = [f"preset={preset}", "model/refiner=my_refiner", "model.backbone.weights=null"]
+        cfg = OmegaConf.create(compose_plain(tmp_path / "conf", "train", words))
+        check_root(cfg)
+        refiner = build(cfg.model.refiner)
+        assert isinstance(refiner, my_refiner)
+        assert refiner.channels == cfg.preset.channels
 
 
 @pytest.mark.slow(20)

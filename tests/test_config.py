@@ -10,9 +10,10 @@ from hydra.utils import get_object
 from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
-from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of
+from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of, plain
 from omniocc.geometry import Cylinder
 from omniocc.run.folder import run_hash
+from omniocc.task.stage_keys import stage_keys
 
 CONF = Path(__file__).parents[1] / "conf"
 OTHERS = ("preset", "ablation", "demo", "trainer", "hydra")
@@ -174,29 +175,60 @@ def test_fits(value, hint, expected):
     assert fits(value, hint) is expected
 
 
+OF_A_PRESET = re.compile(r"\$\{oc\.select:preset\.([\w.]+),")
+"""Beginning of a number in an option's file that presets may replace, with its key below `preset`."""
+
+
 @pytest.mark.parametrize(
     "path", sorted(CONF.glob("model/*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
 )
-def test_an_option_takes_its_sizes_from_its_own_place_in_the_preset(path):
-    slot, option = path.parent.name, path.stem
-    for key in re.findall(r"\$\{preset\.([\w.]+)", path.read_text()):
-        place, *rest = key.split(".")
-        assert place in (slot, "channels", "panorama"), key
-        assert len(rest) < 2 or rest[0] == option, key
+def test_presets_replace_a_number_of_an_option_by_slot_option_and_key(path):
+    for key, value in leaves(OmegaConf.to_container(OmegaConf.load(path))).items():
+        if match := OF_A_PRESET.match(str(value)):
+            assert match[1] == f"{path.parent.name}.{path.stem}.{key}"
 
 
-def test_all_presets_have_the_same_keys():
-    def keys(node, prefix=""):
-        for key, value in node.items():
-            yield f"{prefix}{key}"
-            if isinstance(value, dict) and key != "sizes":
-                yield from keys(value, f"{prefix}{key}.")
+def test_a_preset_holds_what_options_share_and_what_differs_from_their_files():
+    own = {}  # the numbers in the options' files; the learning rate stands in several
+    for path in CONF.rglob("*.yaml"):
+        for value in leaves(OmegaConf.to_container(OmegaConf.load(path))).values():
+            if match := OF_A_PRESET.match(str(value)):
+                number = OmegaConf.create({"number": value})
+                own.setdefault(match[1], []).append(OmegaConf.to_container(number, resolve=True)["number"])
+    presets = {path.stem: leaves(OmegaConf.to_container(OmegaConf.load(path))) for path in CONF.glob("preset/*.yaml")}
+    assert sorted(presets) == ["paper", "small", "smoke", "tiny"]
+    shared = presets["tiny"].keys()
+    assert not shared & own.keys()
+    for name, preset in presets.items():
+        assert shared <= preset.keys(), name
+        assert preset.keys() <= shared | own.keys(), f"{name}: nothing reads these"
+        assert [key for key in preset.keys() & own.keys() if own[key] == [preset[key]]] == [], f"{name}: no difference"
 
-    trees = [OmegaConf.to_container(OmegaConf.load(path)) for path in CONF.glob("preset/*.yaml")]
-    own = "stages.occupancy.learning_rate"  # at `tiny` every model has a rate of its own
-    assert len({tuple(key for key in keys(tree) if key != own) for tree in trees}) == 1
-    assert [tree["name"] for tree in trees if own not in keys(tree)] == ["tiny"]
-    assert len(trees) == 4
+
+def leaves(tree: dict, prefix: str = "") -> dict:
+    """Return the values of a tree by dotted key; the sizes of a backbone of another library are one value."""
+    found = {}
+    for key, value in tree.items():
+        nested = isinstance(value, dict) and value and key != "sizes"
+        found |= leaves(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
+    return found
+
+
+def test_numbers_of_a_preset_are_part_of_a_hash_where_a_chosen_option_has_them(composed):
+    def hashes(*overrides):
+        cfg = composed(*overrides)
+        return run_hash(plain(cfg), "data"), *stage_keys(cfg, "data")
+
+    usual = hashes()
+    assert hashes("+preset.refiner.conv.channels=[8,8,8]", "preset.name=other") == usual
+    run, *stages = hashes("+preset.refiner.unet.channels=[8,8,8]")
+    assert run != usual[0]
+    assert tuple(stages) == usual[1:]
+    assert hashes("model.refiner.channels=[8,8,8]") == (run, *stages)
+    run, depth, *others = hashes("+preset.sketch.omni.channels=[8,8,8]")
+    assert depth == usual[1]
+    assert not {run, *others} & {*usual}
+    assert not {*hashes("preset.depth.spheres=16")} & {*usual}
 
 
 @pytest.mark.parametrize("preset", ["smoke", "tiny", "small", "paper"])

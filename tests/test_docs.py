@@ -18,8 +18,8 @@ PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in 
 
 EXAMPLES = {
     "src/omniocc/model/refiner/my_refiner.py", "conf/model/refiner/my_refiner.yaml",
-    "tests/model/refiner/test_my_refiner.py", "omniocc.model.refiner.MyRefiner", "conf/ablation/my_refiner.yaml",
-    "sweeps/my_lifters.yaml",
+    "tests/model/refiner/test_my_refiner.py", "omniocc.model.refiner.my_refiner",
+    "omniocc.model.refiner.my_refiner.MyRefiner", "sweeps/my_lifters.yaml",
 }  # fmt: skip
 """What a reader is to write, as is everything below `mylib/`."""
 

@@ -37,7 +37,7 @@ def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row
     runs = [finished("mine", with_values(tree("preset=tiny", *words), MINE)) for words in ROWS.values()]
     others = [
         run_of("mine", "+ablation=wo_dilation", *(f"{key}={value}" for key, value in MINE.items())),
-        run_of("deep", "preset.lifter.coloring.layers=2"),
+        run_of("deep", "model.lifter.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
         run_of("demo"),

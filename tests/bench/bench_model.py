@@ -217,8 +217,7 @@ def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> No
     """Print the tables of one preset."""
     base = [
         f"preset={preset}",
-        "preset.backbone.resnet.weights=null",
-        "preset.backbone.transformers.weights=null",
+        "model.backbone.weights=null",
         *overrides,
     ]
     others = {

@@ -73,7 +73,7 @@ def main() -> None:
         print(f"{'option':16} {'known ms':>9} {'new + ms':>9} {'MiB':>9} {'trained':>9} {'rigs':>9}", flush=True)
         for slot, options in (("depth", DEPTH), ("lifter", LIFTER)):
             for option in options:
-                overrides = [f"preset={preset}", f"model/{slot}={option}", "preset.backbone.resnet.weights=null"]
+                overrides = [f"preset={preset}", f"model/{slot}={option}", "model.backbone.weights=null"]
                 with initialize_config_dir(str(CONF), version_base="1.3"):
                     cfg = compose("train", overrides)
                 torch.manual_seed(0)

@@ -105,7 +105,7 @@ def main() -> None:
             overrides = [
                 f"preset={preset}",
                 f"model={SYSTEMS[name]}",
-                "preset.backbone.resnet.weights=null",
+                "model.backbone.weights=null",
                 *chosen.overrides,
             ]
             with initialize_config_dir(str(CONF), version_base="1.3"):

@@ -48,9 +48,8 @@ Row = dict[str, Any]
 
 def compose_preset(preset: str, *overrides: str) -> DictConfig:
     """Return the configuration of training, without pretrained weights."""
-    without = "preset.backbone.resnet.weights=null", "preset.backbone.transformers.weights=null"
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("train", overrides=[f"preset={preset}", *without, *overrides])
+        return compose("train", overrides=[f"preset={preset}", "model.backbone.weights=null", *overrides])
 
 
 def precisions(device: torch.device) -> Iterator[tuple[str, Callable[[], AbstractContextManager]]]:
@@ -150,10 +149,10 @@ Pair = tuple[Callable[[], Tensor], Callable[[], Tensor]]
 
 def attention_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     """Return one layer of the lifter's attention, and the same by `grid_sample` for every camera."""
-    lifter, geometry = cfg.preset.lifter.coloring, build(cfg.model.geometry)
-    heads, points, channels = lifter.heads, lifter.points, cfg.preset.channels // lifter.heads
+    lifter, geometry = cfg.model.lifter, build(cfg.model.geometry)
+    heads, points, channels = lifter.heads, lifter.points, lifter.channels // lifter.heads
     _, _, pairs = every_cell(rig, geometry, device, ((0.0, 0.0, 0.0),))
-    stride = cfg.preset.backbone.resnet.levels[0]
+    stride = cfg.model.backbone.levels[0]
     height, width = -(-rig.cameras[0].height // stride), -(-rig.cameras[0].width // stride)
     maps = torch.randn(1, len(rig.cameras), heads, channels, height, width, device=device, requires_grad=True)
     offsets = torch.randn(heads, 1, 2, len(pairs.counts), points, device=device, requires_grad=True)
@@ -216,8 +215,9 @@ def sweep_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
 
 def splat_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     """Return lift and splat without the outer product, and with it and `index_add`."""
-    option, grid = cfg.preset.lifter.lift_splat, build(cfg.model.geometry)
-    stride = cfg.preset.backbone.resnet.levels[-1]
+    cfg = compose_preset(cfg.preset.name, "model/lifter=lift_splat")
+    option, grid = cfg.model.lifter, build(cfg.model.geometry)
+    stride = cfg.model.backbone.levels[-1]
     height, width = -(-rig.cameras[0].height // stride), -(-rig.cameras[0].width // stride)
     step = (option.range_m[1] - option.range_m[0]) / option.bins
     ranges_m = tuple(option.range_m[0] + (index + 0.5) * step for index in range(option.bins))

@@ -20,7 +20,7 @@ OPTIONS = [
         "model/temporal=none",
         "model/sketch=dense",
         "model/refiner=none",
-        "preset.backbone.resnet.deformable_stages=[3,4]",
+        "model.backbone.deformable_stages=[3,4]",
     ],
     ["model/temporal=none", "model=flashocc"],
     ["model/temporal=none", "model=fosocc"],

@@ -53,7 +53,7 @@ def test_voxformer_uses_monocular_depth(smoke):
 @SYSTEMS
 @pytest.mark.parametrize("preset", ["small", "paper"])
 def test_every_preset_has_sizes_that_fit(name, preset, composed):
-    cfg = composed(f"preset={preset}", f"model={name}", "preset.backbone.resnet.weights=null")
+    cfg = composed(f"preset={preset}", f"model={name}", "model.backbone.weights=null")
     check_root(cfg)
     for slot in ("lifter", "temporal", "refiner"):
         build(cfg.model[slot])

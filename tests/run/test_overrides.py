@@ -31,6 +31,7 @@ def explained(*overrides: str) -> list[str]:
             "a plus: +trainer.detect_anomaly=",
         ),
         (["model.lifter.qqqqqq=3"], "model.lifter.qqqqqq: there is no such key", "model.lifter: geometry, channels"),
+        (["preset.lifter.coloring.layers=2"], "preset.lifter: there is no such key", "own key: model.lifter.layers="),
         (["model/skecth=omni"], "model/skecth: there is no such key", "model/sketch"),
         (["sketch=omni"], "sketch: there is no such key", "model/sketch"),
         (

@@ -27,8 +27,19 @@ STARTED_FROM = "started_from.txt"
 """File with the checkpoint that `resume=` named, written when the run starts from it."""
 IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
-VOLATILE = ("name", "resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
-"""Root keys that do not change what a run computes."""
+VOLATILE = (
+    "name",
+    "resume",
+    "stage",
+    "paths",
+    "packages",
+    "logger",
+    "test_images",
+    "checkpoint_every_n_steps",
+    "plan",
+    "preset",
+)
+"""Root keys that do not change what a run computes; numbers of a preset do where a part refers to them."""
 DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
 """Environment variables by which the same command composes another configuration."""
 CHANGED, NO_COMMIT = "+", "unknown"

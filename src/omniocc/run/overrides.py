@@ -59,6 +59,8 @@ def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
         hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
     if key.startswith("trainer."):
         hint += f"\n  other arguments of Lightning's Trainer are added with a plus: +{key}=..."
+    if key.startswith("preset."):
+        hint += "\n  a number of a part is changed by the part's own key: model.lifter.layers=..."
     return f"{key}: there is no such key{hint}"
 
 
