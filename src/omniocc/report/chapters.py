@@ -69,7 +69,7 @@ def write_tables(sweep: Sweep, output: Path) -> None:
     """Write `report.md`, and every table as CSV and LaTeX."""
     atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:
-        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.table_rows))
+        atomic_write(output / f"{table.name}.csv", as_csv([(table, sweep.table_rows)]))
         atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.table_rows))
     for datasets in sweep.datasets:
         atomic_write(output / f"{datasets.name}.csv", dataset_csv(datasets))

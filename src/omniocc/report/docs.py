@@ -13,7 +13,7 @@ from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness, training
 from omniocc.report.tables.budget import minutes_in_all, named
-from omniocc.report.tables.claims import rows_in
+from omniocc.report.tables.claims import Rows, rows_in
 from omniocc.report.tables.formats import Part, csv_text, parts_text
 from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.overview import records
@@ -93,11 +93,11 @@ def csv_files(sweep: Sweep, every: Sequence[FinishedRun]) -> dict[str, Callable[
     names, preset = method_names(sweep.tables), sweep.runs[0].setting[0]
     others = [run for run in every if run.setting[0] != preset]
     tests = sweep.robustness
-    longer = [each.table_rows for each in list(training.by_steps(sweep).values())[1:]]
-    found: dict[str, Callable[[], str]] = {
-        table.name: partial(as_csv, table, sweep.table_rows, *([] if table.of_lengths else longer))
-        for table in sweep.tables
-    }
+    by_table: dict[str, list[tuple[PaperTable, Rows]]] = {}
+    for each in training.by_steps(sweep).values():
+        for table in each.tables:
+            by_table.setdefault(table.name, []).append((table, each.table_rows))
+    found: dict[str, Callable[[], str]] = {name: partial(as_csv, tables) for name, tables in by_table.items()}
     found |= {table.name: partial(dataset_csv, table) for table in sweep.datasets}
     return found | {
         "claims": lambda: claims_csv(sweep),

@@ -112,7 +112,7 @@ def test_rows_are_called_by_the_papers_titles_and_told_apart():
 
 def test_csv_and_latex_hold_the_same_figures():
     longer = {"ours": [found._replace(facts={**found.facts, "steps": 90}) for found in RUNS["ours"][:1]]}
-    lines = list(csv.DictReader(as_csv(SKETCH, RUNS, longer).splitlines()))
+    lines = list(csv.DictReader(as_csv([(SKETCH, RUNS), (SKETCH, longer)]).splitlines()))
     of_ours = [line for line in lines if line["row"] == "ours" and line["key"] == "test/rayiou"]
     assert [line["steps"] for line in of_ours] == ["9", "90"]
     ours = of_ours[0]

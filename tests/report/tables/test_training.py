@@ -105,6 +105,9 @@ def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):
     short, long = (line for line in csv_of(both) if line["row"] == "voxformer_pinhole")
     assert [line["voxel RayIoU, mean"] for line in (short, long)] == ["0.11", "0.11"]
     assert [long[column] for column in list(long)[-5:]] == ["0.055", "0.055", "0.09", "0.09", "0.11"]
+    (path,) = (path for path in write_docs([both], tmp_path) if path.name == "comparison.csv")
+    lines = [line for line in csv.DictReader(path.read_text().splitlines()) if line["row"] == "voxformer_pinhole"]
+    assert [line["steps"] for line in lines if line["key"] == "test/rayiou"] == ["100", "1000"]
 
 
 def test_claims_on_a_band_of_distance_name_it(sweep, tmp_path):

@@ -223,7 +223,10 @@ def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> di
         none = holm([claim.gap.p_none for claim in claims.values()], len(planned))
         printed = [claim for claim in planned if not math.isnan(claim[0].printed_gap(*claim[1:]))]
         size = holm([claim.p_size for claim in claims.values()], len(printed))
-        found |= {name: Judged(*each) for name, each in zip(claims, zip(claims.values(), none, size), strict=True)}
+        found |= {
+            name: Judged(*each)
+            for name, each in zip(claims, zip(claims.values(), none, size, strict=True), strict=True)
+        }
     return found
 
 

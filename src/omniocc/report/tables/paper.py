@@ -250,18 +250,21 @@ def has_paper(row: PaperRow) -> bool:
     return any(value is not None for value in row.paper.values())
 
 
-def as_csv(table: PaperTable, *of_steps: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return CSV with a line for each method and column, of runs by row for one number of steps or several."""
+def as_csv(tables: Sequence[tuple[PaperTable, Mapping[str, Sequence[FinishedRun]]]]) -> str:
+    """Return CSV with a line for each method and column of a table, which comes with the runs of its rows.
+
+    The same table may follow with runs of more steps, whose rows are told only as far as they have run.
+    """
     lines: dict[tuple[str, ...], list[str]] = {}
-    for runs in of_steps:
+    for place, (table, runs) in enumerate(tables):
         for row, figures in rows_of(table, runs):
-            steps = next((run.setting[1] for run in runs.get(row.run, ())), "")
+            name, steps = row.run.partition("@")[0], next((run.setting[1] for run in runs.get(row.run, ())), "")
             for (key, title), figure in zip(table.columns.items(), figures, strict=True):
                 paper = row.paper[key]
-                if figure or (paper is not None and runs is of_steps[0]):
-                    names = [row.run.partition("@")[0], row.title, steps, title, key]
-                    line = [*names, "" if paper is None else str(paper), *spread_cells(figure)]
-                    lines.setdefault((row.run, steps, key), line)
+                if figure or (paper is not None and place == 0):
+                    known = "" if paper is None else str(paper)
+                    cells = [name, row.title, steps, title, key, known, *spread_cells(figure)]
+                    lines.setdefault((row.run, steps, key), cells)
     return csv_text(["row", "method", "steps", "metric", "key", "paper", *SPREAD], lines.values())
 
 
