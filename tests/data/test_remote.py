@@ -234,3 +234,13 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch):
     monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
     with pytest.raises(DataError, match=r"s3://bucket/data: .*pip install .*'\.\[s3\]'"):
         Files("s3://bucket/data")
+
+
+def test_files_are_read_whole_from_stores_with_arguments_in_an_order_of_their_own(monkeypatch):
+    """The second argument of s3fs is a version: ends given by place would leave the beginning out."""
+    store = fsspec.filesystem("memory")
+    store.pipe("/versions/meta.json", b"0123456789")
+    plain = type(store).cat_file
+    versioned = lambda self, path, version_id=None, start=None, end=None: plain(self, path, start, end)  # noqa: E731
+    monkeypatch.setattr(type(store), "cat_file", versioned)
+    assert Files("memory://versions").read("meta.json") == b"0123456789"

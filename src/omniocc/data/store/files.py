@@ -69,7 +69,7 @@ class Files:
     def read(self, name: str, limit_bytes: int = LIMIT_BYTES) -> bytes:
         """Return the whole content; raise DataError if it is longer than the limit."""
         path = self._path(name)
-        content = self._asked(lambda: self._fs.cat_file(path, 0, limit_bytes + 1), name)
+        content = self._asked(lambda: self._fs.cat_file(path, start=0, end=limit_bytes + 1), name)
         if len(content) > limit_bytes:
             raise DataError(
                 f"{self.where(name)}: the file has more than {limit_bytes:,} bytes, which are expected at most"
