@@ -28,7 +28,7 @@ from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
 from omniocc.report.tables.compare import comparison_text
 from omniocc.report.tables.formats import parts_text
-from omniocc.report.tables.paper import method_names
+from omniocc.report.tables.names import method_names
 from omniocc.report.tables.summary import first_lines, summary
 from omniocc.run.script import lines_not_tracebacks
 

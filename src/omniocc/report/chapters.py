@@ -8,8 +8,9 @@ from omniocc.report.runs import path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, robustness, training
 from omniocc.report.tables.formats import Part, parts_text
+from omniocc.report.tables.names import method_names
 from omniocc.report.tables.overview import overview_keys, table_of_runs
-from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, method_names, runs_of, table_cells
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, runs_of, table_cells
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.report.tables.verdicts import verdicts_parts
 

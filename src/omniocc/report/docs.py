@@ -12,12 +12,13 @@ from omniocc.report.dataset.table import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness, training
-from omniocc.report.tables.budget import minutes_in_all, named
+from omniocc.report.tables.budget import minutes_in_all
 from omniocc.report.tables.claims import Rows, rows_in
 from omniocc.report.tables.formats import Part, csv_text, parts_text
 from omniocc.report.tables.learning_rates import learning_rates
+from omniocc.report.tables.names import method_names, named
 from omniocc.report.tables.overview import records
-from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, method_names, table_cells
+from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, table_cells
 from omniocc.report.tables.power import power_csv
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.report.tables.results import COMMAND, of_paper, results_lines

@@ -1,7 +1,8 @@
 """What rows were given and what they cost."""
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.budget import budget_cells, named, note
+from omniocc.report.tables.budget import budget_cells, note
+from omniocc.report.tables.names import named
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 
 BEFORE = {"depth": 800, "sketch": 500}

@@ -11,6 +11,7 @@ from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.report.tables.claims import pairs_of
+from omniocc.report.tables.names import method_names
 from omniocc.report.tables.paper import (
     PAGES,
     as_csv,
@@ -18,7 +19,6 @@ from omniocc.report.tables.paper import (
     figure_of,
     is_table,
     load_table,
-    method_names,
     table_cells,
 )
 from omniocc.run.rows import known_rows

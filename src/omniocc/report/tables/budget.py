@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.names import named
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
@@ -40,13 +41,6 @@ def budget_cells(rows: Mapping[str, Sequence[FinishedRun]], names: Mapping[str, 
     Minutes are means over seeds, parameters, operations and memory maxima.
     """
     return HEAD, [[named(row, names), *_budget(runs)] for row, runs in rows.items()]
-
-
-def named(row: str, names: Mapping[str, str]) -> str:
-    """Return the name of a row for readers, with its steps where the row has them (`ours@1000`)."""
-    plain, at, steps = row.partition("@")
-    name = names.get(plain, plain)
-    return f"{name.removesuffix(f' ({plain})')}, {int(steps):,} steps" if at else name
 
 
 def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 import math
 import statistics
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -298,19 +297,3 @@ def with_error(key: str, figure: Figure | None) -> str:
 def mean_alone(key: str, figure: Figure | None) -> str:
     """Return the mean of our figure for a table."""
     return in_cell(key, figure and figure.mean)
-
-
-def method_names(tables: Sequence[PaperTable]) -> dict[str, str]:
-    """Return the name of each row for readers, its title in the first of the paper's tables, or else its shortest one.
-
-    Of rows with the same title all but the first have the row behind it.
-    """
-    titles: dict[str, str] = {}
-    others = [(table.number, len(row.title), row) for table in tables for row in table.rows]
-    for *_, row in sorted(others, key=lambda entry: (not entry[0], entry[:2])):
-        titles.setdefault(row.run.partition("@")[0], row.title)
-    often = Counter(titles.values())
-    first = {title: row for row, title in reversed(titles.items())}
-    return {
-        row: title if often[title] == 1 or first[title] == row else f"{title} ({row})" for row, title in titles.items()
-    }

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from omniocc.errors import shortened
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.claims import JUDGES
-from omniocc.report.tables.paper import figure_of, method_names, with_error
+from omniocc.report.tables.names import method_names
+from omniocc.report.tables.paper import figure_of, with_error
 from omniocc.report.tables.verdicts import claim_lines
 from omniocc.run.table import VOXEL_RAYIOU, markdown
 
