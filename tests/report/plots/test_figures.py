@@ -21,13 +21,13 @@ def heights(axes) -> list[float]:
     return [bar.get_height() for bar in axes.patches]
 
 
-def test_bars_stand_for_means_and_whiskers_for_standard_deviations(rows):
+def test_bars_stand_for_means_and_whiskers_for_standard_errors(rows):
     (axes,) = by_range(rows).axes
     assert heights(axes) == pytest.approx([0.32, 0.16, 0.08, 0.20, 0.10, 0.05, 0.10, 0.05, 0.025])
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0-8.5 m", "8.5-17 m", "17-25.6 m"]
     (whiskers,) = axes.collections
     low, high = whiskers.get_segments()[0][:, 1]
-    assert (high - low) / 2 == pytest.approx(0.02 * 2**0.5)
+    assert (high - low) / 2 == pytest.approx(0.02)
 
 
 def test_every_class_has_its_bar(rows):
