@@ -45,6 +45,11 @@ def is_there(path: str, base: Path = ROOT) -> bool:
     return any(base.glob(path)) if "*" in path else (base / path).exists()
 
 
+def test_no_page_has_marks_of_a_merge():
+    marked = [page.name for page in PAGES if re.search("^(<<<<<<<|>>>>>>>) ", page.read_text(), re.MULTILINE)]
+    assert not marked
+
+
 def test_paths_exist():
     named = by_page(FILE)
     assert len(named) > 100
