@@ -20,14 +20,14 @@ from omniocc.config import plain
 from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.errors import UserError
+from omniocc.predict import load
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.input.sequence import find_scenes
-from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, other_heights, predict_occupancy
 from omniocc.run.checkpoint import CONFIG, STAGE
-from omniocc.task.build import build_task, load_task
+from omniocc.task.build import build_task
 from omniocc.task.scores import Scores
 
 ROOT = Path(__file__).parents[2]
@@ -59,8 +59,7 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
 @pytest.fixture(scope="module")
 def evaluated(scene, checkpoint, spec):
     """Return the labels of every frame and the scores of `evaluate.py`."""
-    task, _ = load_task(checkpoint, [])
-    task.eval()
+    task = load(checkpoint).task
     geometry = task.model.geometry
     data = WindowDataset([SceneReader(scene)], VoxelCache(scene.parent, geometry), task.model.temporal.frames)
     scores, labels = Scores(geometry, spec), []
@@ -177,7 +176,7 @@ def test_files_of_a_frame(images, scene, checkpoint, tmp_path, evaluated, monkey
     monkeypatch.chdir(tmp_path)
     found: dict = {}
     exec(code, found)
-    geometry = load_task(checkpoint, [])[0].model.geometry
+    geometry = load(checkpoint).occupancy.geometry
     occupied = evaluated[0][1] > 0
     assert np.allclose(found["xyz_m"], geometry.centers(torch.float64).numpy()[occupied])
     assert found["names"].tolist() == [arrays["class_names"][k] for k in evaluated[0][1][occupied]]
@@ -308,8 +307,8 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
 
 
 def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
-    depth, _ = load_depth(checkpoint)
-    inside = load_task(checkpoint, [])[0].model.sketch.depth.state_dict()
+    depth = load(checkpoint).depth
+    inside = load(checkpoint).task.model.sketch.depth.state_dict()
     assert len(inside) > 20
     assert depth.state_dict().keys() == inside.keys()
     assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
@@ -317,7 +316,7 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
     torch.save({STAGE: "occupancy", CONFIG: content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
     with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
-        load_depth(tmp_path / "dense.ckpt")
+        load(tmp_path / "dense.ckpt").depth  # noqa: B018 - it is built when it is asked for
 
 
 def test_a_folder_without_a_scene_cannot_be_exported(tmp_path):

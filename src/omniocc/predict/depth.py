@@ -14,14 +14,13 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
-from omniocc.predict.network import load_depth, predict_depth
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
-from omniocc.predict.trained import training_data
-from omniocc.run.weights import find_checkpoint
+from omniocc.predict.trained import load
 from omniocc.view import predicted_sheet
 
 ShowRanges = Callable[[Frame, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
@@ -62,10 +61,9 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
     conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
     if conflicting:
         raise UserError(f"{conflicting[0]}: the checkpoint sets this; leave it out, or leave out the checkpoint")
-    path = find_checkpoint(cfg.checkpoint)
-    model, trained = load_depth(path, [text for text in overrides if text.startswith("depth.")])
+    trained = load(cfg.checkpoint, [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
-    return model, cfg.image_width if chosen else training_data(path, trained).width_for(rig)
+    return trained.depth, cfg.image_width if chosen else trained.facts.width_for(rig)
 
 
 def predict_frame(

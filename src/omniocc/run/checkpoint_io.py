@@ -11,9 +11,8 @@ from lightning.pytorch.plugins.io import CheckpointIO
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, remove_leftovers
-from omniocc.run.weights import shipped
+from omniocc.run.weights import BEST, LAST, shipped
 
-LAST, BEST = "last.ckpt", "best.ckpt"
 UNREADABLE = (
     zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError, MemoryError
 )  # fmt: skip
@@ -40,9 +39,9 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
 
 
 def no_checkpoint(path: Path) -> str:
-    """Return the message for a path that is no file; in a run's folder it names the checkpoint."""
-    if (path / BEST).is_file():
-        return f"{path} is the folder of a run; its checkpoint is {path / BEST}"
+    """Return the message for a path that is no file."""
+    if path.is_dir():
+        return f"{path}: the folder has neither {BEST} nor {LAST} (is it a run of train.py?)"
     return f"{path}: there is no such checkpoint{shipped_hint()}"
 
 

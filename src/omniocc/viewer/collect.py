@@ -63,8 +63,8 @@ def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScene
     panorama = next((model.predictor.panorama for model in models), None)
     chosen = options.scene, options.frames, options.limit
     if options.recorded is None:
-        return test_scenes(models[0].data, *chosen, panorama)
-    unknown = models[0].trained.unknown if models else "free"
+        return test_scenes(models[0].trained.data, *chosen, panorama)
+    unknown = models[0].trained.facts.unknown if models else "free"
     return recorded_scenes(options.recorded, *chosen, unknown, panorama)
 
 

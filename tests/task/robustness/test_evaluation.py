@@ -16,9 +16,10 @@ from omniocc.data.dataset import WindowDataset
 from omniocc.data.disturb.scene import disturbed
 from omniocc.errors import UserError
 from omniocc.model.occupancy import to_unit_range
+from omniocc.predict import load
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.run.robustness import UNDISTURBED, drop_of
-from omniocc.task.build import build_task, load_task
+from omniocc.task.build import build_task
 from omniocc.task.robustness import evaluation
 from omniocc.task.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
 from omniocc.task.robustness.parts import parts_of
@@ -47,8 +48,8 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
 
 
 def run(checkpoint, folder, *wanted, scenes=8, seed=0):
-    task, data = load_task(checkpoint, [])
-    return robustness_of(task, data, checkpoint, wanted, scenes, seed, folder)
+    trained = load(checkpoint)
+    return robustness_of(trained.task, trained.data, trained.checkpoint, wanted, scenes, seed, folder)
 
 
 @pytest.fixture(scope="module")
@@ -81,12 +82,12 @@ def test_every_part_has_scores_over_all_scenes_and_all_but_each(tested):
 def test_scores_are_those_of_the_model_on_the_disturbed_frames(checkpoint, tested):
     """Everything is computed anew here, frame by frame, without the stream and without the module under test."""
     record, _ = tested
-    task, data = load_task(checkpoint, [])
+    trained = load(checkpoint)
+    task, data = trained.task, trained.data
     data.prepare_data()
     part = next(part for part in parts_of(data.source.scenes("test")[0].rig.names, ()) if part.name == "view_90_deg")
     scenes = [disturbed(scene, part.disturbance, part.name, 0) for scene in data.source.scenes("test")]
     windows, scores = WindowDataset(scenes, data.voxels, data.window), Scores(task.model.geometry, data.source.spec)
-    task.eval()
     with torch.no_grad():
         for k in range(len(windows)):
             batch = collate([windows[k]])
