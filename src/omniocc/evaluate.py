@@ -43,12 +43,6 @@ class Evaluation:
         overrides: of the configuration of the checkpoints.
         predictions: folder of files to be scored; None: checkpoints are tested.
         robustness: `all`, or names of parts; None: no robustness test.
-        output: folder of results; None: beside the checkpoint.
-        origins: from where rays of RayIoU start.
-        images: test frames to draw.
-        audit: whether to print only where the score is lost.
-        scenes: test scenes of the robustness test.
-        seed: of what it draws at random.
     """
 
     checkpoints: Sequence[Path]

@@ -19,7 +19,7 @@ def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
     for name, value in instead.items():
         monkeypatch.setattr(files, name, value)
     for name in ("model.pt2", "model.onnx"):
-        line = files.export_files(files.Options("best.ckpt", rig, tmp_path / name, None))
+        line = files.export_files("best.ckpt", rig, tmp_path / name)
         assert line.endswith(f"inputs and outputs: {tmp_path / name}.json")
     programs = {path.name: json.loads(path.read_text())["program"] for path in tmp_path.glob("*.json")}
     assert programs == {"model.pt2.json": "model.pt2", "model.onnx.json": "model.onnx"}

@@ -52,15 +52,16 @@ def test_the_origin_is_put_as_high_above_the_road_as_in_training():
     assert height_m == pytest.approx(-0.916 + 2.2)
     assert raised.road_z_m == pytest.approx(-2.2)
     assert torch.allclose(raised.ego_from_camera[:, 2, 3], low.ego_from_camera[:, 2, 3] - height_m)
-    assert "the grid lies 1.28 m higher" in line
+    assert "0.916 m below the origin of the rig (its road_z_m), 2.2 m in the training: the grid lies 1.28 m hi" in line
     assert own.place(with_road(low, -2.2))[1:] == (0.0, "")
+    assert "lies 0.8 m lower" in own.place(with_road(low, -3.0))[2]
     kept, height_m, line = trained_with("data.source.rig=random").place(low)
     assert (kept, height_m) == (low, 0.0)
     assert "stays around the origin of the rig" in line
     unknown = replace(low, road_z_m=None)
     kept, height_m, line = own.place(unknown)
     assert (kept, height_m) == (unknown, 0.0)
-    assert "taken for -2.2 m, as in training" in line
+    assert "not known (road_z_m): taken for -2.2 m, as in training; state it in the rig file" in line
     assert own.place(own.rig)[2] == ""
     with pytest.raises(UserError, match="road_z_m"):
         with_road(low, 0.3)

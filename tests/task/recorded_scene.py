@@ -1,16 +1,21 @@
-"""Recorded scenes of random patches, points and ranges, in this project's format, at the size of `preset=smoke`."""
+"""Recorded scenes of random patches, points and ranges at the size of `preset=smoke`, and checkpoints."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
+from omegaconf import DictConfig
 
 from omniocc.camera import Rig
 from omniocc.camera.pose import pose_from_angles
+from omniocc.config import plain
 from omniocc.data import SourceSpec
 from omniocc.data.recording.spec import plain_spec
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
+from omniocc.run.checkpoint import CONFIG, STAGE
+from omniocc.task.build import build_task
 from omniocc.world.frame import Frame
 
 RIG = Rig.load("fisheye6").resized(64, 36)
@@ -48,3 +53,13 @@ def write_scene(folder: Path, spec: SourceSpec, frames: int, first: int = 0) -> 
     writer.finish({"split": "test", "spec": plain_spec(spec)})
     writer.close()
     return folder
+
+
+def write_checkpoint(path: Path, cfg: DictConfig, spec: SourceSpec, seed: int = 3) -> Path:
+    """Write a checkpoint of the last stage with random weights, which predict many classes."""
+    torch.manual_seed(seed)
+    task = build_task(cfg, spec)
+    torch.nn.init.normal_(task.model.classifier.linear.weight)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)
+    return path

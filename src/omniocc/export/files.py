@@ -3,7 +3,6 @@
 import io
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,47 +22,36 @@ from omniocc.predict.trained import load
 SUFFIXES = (".pt2", ".onnx")
 
 
-@dataclass(frozen=True)
-class Options:
-    """Options of `src/export.py`.
+def export_files(
+    checkpoint: str, rig: Rig, output: Path, image_width: int | None = None, road_z_m: float | None = None
+) -> str:
+    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
 
-    Attributes:
+    Args:
         checkpoint: of the occupancy stage: a file, a run's folder, or the name of shipped weights.
         rig: cameras that the program is for.
         output: file to write, .pt2 or .onnx.
         image_width: width of the images that the program takes, px; None: as many pixels as in training.
         road_z_m: height of the road in the frame of the rig, m; None: that of the rig file, or unknown.
-    """
-
-    checkpoint: str
-    rig: Rig
-    output: Path
-    image_width: int | None
-    road_z_m: float | None = None
-
-
-def export_files(options: Options) -> str:
-    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
 
     Raises:
         FileNotFoundError, UserError: when the checkpoint, rig, output or an option of the model cannot be used.
     """
-    output = options.output
     if output.suffix not in SUFFIXES:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
-    checkpoint = load(options.checkpoint)
-    model, trained = checkpoint.occupancy, checkpoint.facts
-    rig, height_m, line = trained.place(with_road(options.rig, options.road_z_m))
+    found = load(checkpoint)
+    model, trained = found.occupancy, found.facts
+    rig, height_m, line = trained.place(with_road(rig, road_z_m))
     if line:
         print(f"road: {line}", file=sys.stderr, flush=True)
-    rig = scale_rig(rig, options.image_width or trained.width_for(rig))
+    rig = scale_rig(rig, image_width or trained.width_for(rig))
     module = make_module(model, rig)
-    print(f"tracing the network of {checkpoint.path}: half a minute or more", file=sys.stderr, flush=True)
+    print(f"tracing the network of {found.path}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)
     contract = contract_of(module, trained.classes, height_m)
     print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
-    facts = {"program": output.name, "checkpoint": str(checkpoint.path), "torch": torch.__version__}
+    facts = {"program": output.name, "checkpoint": str(found.path), "torch": torch.__version__}
     facts["frame_interval_s"] = trained.frame_interval_s
     described = output.with_name(f"{output.name}.json")
     atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")

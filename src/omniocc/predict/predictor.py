@@ -5,7 +5,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
@@ -146,13 +146,12 @@ class Predictor:
         Raises:
             UserError: when images and modules do not fit together, or the network returns NaN.
         """
-        rig, world_from_ego, true_range_m = given.rig, given.world_from_ego, given.true_range_m
-        images = given.images.to(self.device)
-        pose = torch.eye(4, dtype=torch.float64) if world_from_ego is None else world_from_ego
+        images, pose = given.images.to(self.device), given.world_from_ego
+        pose = torch.eye(4, dtype=torch.float64) if pose is None else pose
         try:
-            sketched, depth = self._choose(images, rig, true_range_m, watch)
+            sketched, depth = self._choose(images, given, watch)
             with watch("occupancy"):
-                seen = mask_cameras(rig, self.excluded)
+                seen = mask_cameras(given.rig, self.excluded)
                 logits = self.stream.step(images[0], seen, pose.to(self.device), sketched)
                 labels = logits.argmax(0).to(torch.uint8).cpu()
         except ValueError as error:
@@ -162,20 +161,14 @@ class Predictor:
         range_m = None if depth is None else depth.known_range_m()[0].cpu()
         return Prediction(labels, sketched.candidates[0].cpu(), range_m)
 
-    def _choose(
-        self,
-        images: Float[Tensor, "1 N 3 H W"],
-        rig: Rig,
-        true_range_m: Float32[Tensor, "1 h w"] | None,
-        watch: Stopwatch,
-    ) -> tuple[Sketched, DepthMap | None]:
+    def _choose(self, images: Tensor, given: Input, watch: Stopwatch) -> tuple[Sketched, DepthMap | None]:
         """Return the candidates and their ranges; depth ignores the black images of excluded cameras."""
         sketch = self.learned_sketch
         if sketch is None:
             with watch("sketch"):
-                return self.model.sketch(images, (rig,)), None
+                return self.model.sketch(images, (given.rig,)), None
         with watch("depth"):
-            true_range_m = None if true_range_m is None else true_range_m.to(self.device)
-            depth = sketch.depth(images, (rig,), true_range_m)
+            true_range_m = None if given.true_range_m is None else given.true_range_m.to(self.device)
+            depth = sketch.depth(images, (given.rig,), true_range_m)
         with watch("sketch"):
             return sketch.hand_on(depth.range_m, depth.valid), depth

@@ -1,23 +1,30 @@
-"""From a checkpoint to what was trained: the network, the data, and the task that scores it."""
+"""From a checkpoint to what was trained: the network, the data, the task that scores it, predictions for arrays."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 from omegaconf import DictConfig
 from torch import nn
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build
 from omniocc.data import OccupancyData
-from omniocc.errors import UserError
+from omniocc.data.formats.files import check_aspect
+from omniocc.errors import DataError, UserError
+from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
-from omniocc.predict.once import PredictedRanges, PredictedVoxels, check_images, predict_ranges, predict_voxels
-from omniocc.predict.options import load_rig
-from omniocc.predict.predictor import Images
+from omniocc.predict.input.images import resized_to_width
+from omniocc.predict.options import choose_device, load_rig
+from omniocc.predict.output.voxel_files import raise_grid
+from omniocc.predict.predictor import STEPS, Images, Input, Predictor, predict_depth
+from omniocc.predict.road import WITHIN, on_road
+from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.run.checkpoint import (
     Checkpoint,
@@ -32,6 +39,34 @@ from omniocc.run.trust import building
 from omniocc.run.weights import find_checkpoint
 from omniocc.task import OccupancyTask
 from omniocc.task.build import PARTS, build_task, check_changes, check_places
+
+
+class PredictedVoxels(NamedTuple):
+    """Classes of the cells around a car.
+
+    Attributes:
+        labels: class of every cell, 0 free.
+        grid: of the labels, in the frame of the rig that was given.
+        names: of the classes.
+        colors: RGB of the classes.
+    """
+
+    labels: UInt8[np.ndarray, "X Y Z"]
+    grid: Grid
+    names: tuple[str, ...]
+    colors: UInt8[np.ndarray, "K 3"]
+
+
+class PredictedRanges(NamedTuple):
+    """Ranges around a car.
+
+    Attributes:
+        range_m: distance along the ray of every pixel, m, nan without an answer.
+        panorama: directions of the pixels.
+    """
+
+    range_m: Float32[np.ndarray, "h w"]
+    panorama: Equirectangular
 
 
 def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequence[str] = ()) -> "Trained":
@@ -141,20 +176,31 @@ class Trained:
     ) -> PredictedVoxels | PredictedRanges:
         """Return the voxels around a car, or the ranges if only a depth network was trained, from one frame.
 
-        Images are scaled to about as many pixels as those of the training.
+        Images are scaled to about as many pixels as those of the training; all else is as `predict.py` does it. A line
+        on stderr says if the grid moves because the road lies at another height than in the training.
 
         Args:
             images: (H, W, 3) uint8 RGB of every camera, in the rig's order.
             rig: the cameras, the name of a built-in rig, or a rig file.
 
         Raises:
-            UserError: also when the rig cannot be used, or the images do not fit it.
+            UserError: also when the rig cannot be used, the images do not fit it, or the network returns NaN.
         """
         rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
         check_images(listed := list(images), rig)
-        if self.stage == OccupancyTask.STAGE:
-            return predict_voxels(self.occupancy, self.facts, listed, rig)
-        return predict_ranges(self.depth, self.facts, listed, rig)
+        facts, device = self.facts, choose_device(None)
+        width, classes = facts.width_for(rig), facts.classes
+        if self.stage != OccupancyTask.STAGE:
+            batch, scaled = resized_to_width(listed, rig, width)
+            depth = on_road(predict_depth(self.depth, batch, scaled, device), self.depth, scaled, WITHIN)
+            return PredictedRanges(depth.known_range_m()[0].numpy(), cast(Equirectangular, self.depth.panorama))
+        placed, height_m, line = facts.place(rig)
+        if line:
+            print(f"road      {line}", file=sys.stderr, flush=True)
+        predictor = Predictor(self.occupancy, width, (), device)
+        found = predictor.step(Input(*predictor.scaled(listed, placed)), Stopwatch(device, STEPS))
+        grid, colors = raise_grid(self.occupancy.geometry, height_m), classes.palette[: classes.num_classes]
+        return PredictedVoxels(found.labels.numpy(), grid, classes.names, colors)
 
     @cached_property
     def _data(self) -> OccupancyData:
@@ -163,3 +209,17 @@ class Trained:
 
     def _check(self, *parts: str) -> None:
         check_parts(self.path, self.config, parts, self.packages)
+
+
+def check_images(images: Images, rig: Rig) -> None:
+    """Raise UserError unless each camera has one array (H, W, 3) uint8 of the aspect ratio of its calibration."""
+    if len(images) != len(rig.names):
+        raise UserError(f"{len(images)} images for {len(rig.names)} cameras; give one each, of {', '.join(rig.names)}")
+    for image, name, camera in zip(images, rig.names, rig.cameras, strict=True):
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise UserError(f"camera '{name}': the image is {what}; give a numpy array (H, W, 3) uint8, RGB")
+        try:
+            check_aspect((image.shape[1], image.shape[0]), camera, f"camera '{name}'")
+        except DataError as error:
+            raise UserError(str(error)) from error

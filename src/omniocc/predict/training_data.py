@@ -9,7 +9,10 @@ from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
 from omniocc.data.source import Unknown
 from omniocc.data.source.cameras import training_rig
-from omniocc.predict.input.sequence import origin_above_rig, origin_line, raise_rig
+from omniocc.predict.input.sequence import raise_rig
+
+UNMOVED_M = 0.0005
+"""Distance that an origin may move without a word."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,18 @@ class TrainingData:
         The reason is a line for the user, empty where nothing is to be said. The origin stays where the height of the
         road is not known here or in the training.
         """
-        height_m = round(origin_above_rig(rig.road_z_m, self.road_z_m), 6)
-        line = "" if rig.road_z_m is None and self.has(rig) else origin_line(rig.road_z_m, self.road_z_m)
+        here_m, there_m, height_m, line = rig.road_z_m, self.road_z_m, 0.0, ""
+        if here_m is None and self.has(rig):
+            return rig, 0.0, ""
+        if there_m is None:
+            line = "at another height for every rig of the training: the grid stays around the origin of the rig"
+        elif here_m is None:
+            line = f"its height is not known (road_z_m): taken for {there_m:g} m, as in training; "
+            line += "state it in the rig file, or as road_z_m=..."
+        elif abs(height_m := round(here_m - there_m, 6)) >= UNMOVED_M:
+            moved = f"{abs(height_m):.3g} m {'higher' if height_m > 0 else 'lower'}"
+            line = (
+                f"{-here_m:g} m below the origin of the rig (its road_z_m), {-there_m:g} m in the training: the grid "
+            )
+            line += f"lies {moved}; if that is wrong, correct road_z_m"
         return raise_rig(rig, height_m) if height_m else rig, height_m, line

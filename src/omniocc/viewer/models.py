@@ -21,9 +21,8 @@ from omniocc.geometry import Grid
 from omniocc.model.occupancy import to_unit_range
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.sequence import true_range_m
-from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import Input, Prediction, Predictor
-from omniocc.predict.trained import Trained, load
+from omniocc.predict.trained import Trained
 from omniocc.task.scores import Scores
 from omniocc.viewer.scenes import ChosenScenes
 
@@ -104,19 +103,6 @@ def mask_labels(
         for size, most in zip(labels.shape, mask.shape, strict=True)
     )
     return np.where(mask.numpy()[np.ix_(rows, columns)], labels, UNKNOWN).astype(np.uint8)
-
-
-def load_models(runs: Sequence[str], names: Sequence[str], device: str | None) -> list[TrainedModel]:
-    """Return the models of runs.
-
-    Raises:
-        FileNotFoundError, UserError: naming the run that cannot be used.
-    """
-    models = []
-    for run, name in zip(runs, names, strict=True):
-        trained = load(run)
-        models.append(TrainedModel(name, trained, Predictor(trained.occupancy, None, (), choose_device(device))))
-    return models
 
 
 def check_classes(models: Sequence[TrainedModel], scenes: ChosenScenes) -> None:

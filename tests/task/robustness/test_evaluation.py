@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from recorded_scene import write_scene
+from recorded_scene import write_checkpoint, write_scene
 
 from omniocc.config import build, plain
 from omniocc.data import collate
@@ -17,7 +17,6 @@ from omniocc.data.disturb.scene import disturbed
 from omniocc.errors import UserError
 from omniocc.model.occupancy import to_unit_range
 from omniocc.predict import load
-from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.run.robustness import UNDISTURBED, drop_of
 from omniocc.task.build import build_task
 from omniocc.task.robustness import evaluation
@@ -38,13 +37,7 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
         write_scene(folder / "data" / f"test-{number:03d}-nowhere", spec, FRAMES, first=10 * number)
     splits = "data.source.splits={train:[],val:[],test:[test-*]}"
     cfg = smoke("data=recorded", f"data.source.root={folder / 'data'}", splits, "data.source.workers=0")
-    torch.manual_seed(3)
-    task = build_task(cfg, spec)
-    torch.nn.init.normal_(task.model.classifier.linear.weight)
-    path = folder / "runs" / "some-12345678" / "best.ckpt"
-    path.parent.mkdir(parents=True)
-    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)
-    return path
+    return write_checkpoint(folder / "runs" / "some-12345678" / "best.ckpt", cfg, spec)
 
 
 def run(checkpoint, folder, *wanted, scenes=8, seed=0):
