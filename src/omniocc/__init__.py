@@ -3,9 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from omniocc.predict.trained import load
+    from omniocc.predict.trained import load as load
 
-__all__ = ["load"]
 __version__ = "0.1.0"
 
 
