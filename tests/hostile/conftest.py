@@ -26,8 +26,7 @@ def base(shared_folder, smoke, spec) -> Path:
     """Return the folder of sound files, which is made once: scenes, a checkpoint, a rig, images of a frame."""
     from fake_sweep import write_sweep
     from forge_datasets import write_all
-    from made_scenes import SCENES, write_scene
-    from recorded_scene import write_checkpoint
+    from made_scenes import SCENES, write_checkpoint, write_scene
 
     from omniocc.predict.export_scene import export_scene
 

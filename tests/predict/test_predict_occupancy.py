@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from recorded_scene import RIG, write_checkpoint, write_scene
+from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras
@@ -40,7 +40,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory, spec) -> Path:
-    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, len(FRAMES))
+    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, 0, len(FRAMES), RIG)
 
 
 @pytest.fixture(scope="module")
@@ -322,7 +322,7 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
     spec = dataclasses.replace(spec, classes=classes, range_edges_m=(0.0, 10.0, 20.0), road_z_m=-1.7)
     root = tmp_path / "scenes"
     for name in ("train-000-here", "test-000-here"):
-        write_scene(root / name, spec, 2)
+        write_scene(root / name, spec, 0, 2, RIG)
     splits = "data.source.splits={train: [train-*], val: [], test: [test-*]}"
     cfg = smoke("data=recorded", f"data.source.root={root}", splits, "data.num_classes=19")
     trained = write_checkpoint(tmp_path / "nineteen.ckpt", cfg, spec)

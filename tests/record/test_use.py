@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from log_files import lidar_option
-from recorded_scene import write_checkpoint
+from made_scenes import write_checkpoint
 
 from omniocc.config import build, check_root, plain
 from omniocc.data import DataError, SceneReader

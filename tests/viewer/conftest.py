@@ -3,8 +3,7 @@
 from pathlib import Path
 
 import pytest
-from made_scenes import SCENES, write_scene
-from recorded_scene import write_checkpoint
+from made_scenes import SCENES, write_checkpoint, write_scene
 
 
 @pytest.fixture(scope="session")

@@ -180,9 +180,10 @@ def facts_of(
 def announcement(
     options: Options, model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence], history: History
 ) -> list[str]:
-    """Return one line each about model, cameras and history."""
+    """Return one line each about model, cameras, road and history."""
     grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"
     past = model.temporal.frames - 1
+    road = "" if options.images is None else trained.place(rig_of(options))[2]
     parameters = sum(parameter.numel() for parameter in model.parameters()) / 1e6
     if history != "none":
         used = f"{history}: up to {past} past frames"
@@ -195,16 +196,10 @@ def announcement(
     return [
         f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
         f"cameras   {', '.join(sequences[0].rig.names)}: {trained.compare(sequences[0].rig)}",
-        *own_height(options, trained),
+        *([f"road      {road}"] if road else []),
         *other_heights(sequences, trained),
         f"history   {used}",
     ]
-
-
-def own_height(options: Options, trained: TrainingData) -> list[str]:
-    """Return a line on how a user's own images, and not recorded scenes, are put above the road."""
-    line = "" if options.images is None else trained.place(rig_of(options))[2]
-    return [f"road      {line}"] if line else []
 
 
 def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> list[str]:

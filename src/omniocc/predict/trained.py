@@ -36,7 +36,6 @@ from omniocc.run.checkpoint import (
     without_pretrained,
 )
 from omniocc.run.trust import building
-from omniocc.run.weights import find_checkpoint
 from omniocc.task import OccupancyTask
 from omniocc.task.build import PARTS, build_task, check_changes, check_places
 
@@ -81,7 +80,7 @@ def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequen
         FileNotFoundError: when there is no such file.
         UserError: when it is damaged or of an older version, or an override has no effect.
     """
-    content = load_checkpoint(find_checkpoint(checkpoint))
+    content = load_checkpoint(checkpoint)
     check_changes(content.path, overrides, ("depth", "data", *PARTS))
     return Trained(content, with_overrides(content.config, overrides), tuple(overrides), tuple(packages))
 

@@ -42,13 +42,9 @@ def no_checkpoint(path: Path) -> str:
     """Return the message for a path that is no file."""
     if path.is_dir():
         return f"{path}: the folder has neither {BEST} nor {LAST} (is it a run of train.py?)"
-    return f"{path}: there is no such checkpoint{shipped_hint()}"
-
-
-def shipped_hint() -> str:
-    """Return a phrase that names the weights that come with the package; nothing if there are none."""
     names = ", ".join(shipped())
-    return f"; the names of weights that come with the package are {names}" if names else ""
+    hint = f"; the names of weights that come with the package are {names}" if names else ""
+    return f"{path}: there is no such checkpoint{hint}"
 
 
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:

@@ -29,16 +29,8 @@ from omniocc.viewer.scenes import ChosenScenes
 PixelLabels = tuple[np.ndarray, ...] | None
 SAME_PIXELS = 0.25
 """Images whose number of pixels differs by less than this fraction from the training's are not scaled."""
-FIGURES = {
-    "rayiou": "rayiou",
-    "rayiou@1": "rayiou@1",
-    "rayiou@2": "rayiou@2",
-    "rayiou@4": "rayiou@4",
-    "lidar/rayiou": "lidar/rayiou",
-    "voxel/iou": "iou",
-    "voxel/miou": "miou",
-}
-"""Keys of `omniocc.task.scores.Scores` that are shown, and their names in a frame's figures."""
+FIGURES = ("rayiou", "rayiou@1", "rayiou@2", "rayiou@4", "lidar/rayiou", "voxel/iou", "voxel/miou")
+"""Keys of `omniocc.task.scores.Scores` that are shown of a frame, without `voxel/`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,4 +119,4 @@ def frame_figures(scores: Scores, labels: Tensor, truth: Batch | Truth) -> Mappi
     scores.reset()
     scores.update(labels[None], truth)
     found = scores.compute()
-    return {name: float(found[key]) for key, name in FIGURES.items() if key in found}
+    return {key.removeprefix("voxel/"): float(found[key]) for key in FIGURES if key in found}

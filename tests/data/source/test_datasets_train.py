@@ -8,8 +8,8 @@ import torch
 from dataset_files import write_carlasc, write_woodscape
 from kitti_files import write_kitti360, write_semantic_kitti, write_sscbench
 from lightning.pytorch import Trainer, seed_everything
+from made_scenes import write_checkpoint
 from nuscenes_files import write_nuscenes
-from recorded_scene import write_checkpoint
 
 from omniocc.config import build, check_root
 from omniocc.errors import UserError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from recorded_scene import write_checkpoint, write_scene
+from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.config import build, plain
 from omniocc.data import collate
@@ -34,7 +34,7 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
     """Return a checkpoint whose test scenes are two recorded ones."""
     folder = tmp_path_factory.mktemp("robust")
     for number in range(2):
-        write_scene(folder / "data" / f"test-{number:03d}-nowhere", spec, FRAMES, first=10 * number)
+        write_scene(folder / "data" / f"test-{number:03d}-nowhere", spec, 10 * number, FRAMES, RIG)
     splits = "data.source.splits={train:[],val:[],test:[test-*]}"
     cfg = smoke("data=recorded", f"data.source.root={folder / 'data'}", splits, "data.source.workers=0")
     return write_checkpoint(folder / "runs" / "some-12345678" / "best.ckpt", cfg, spec)
