@@ -4,10 +4,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from omniocc.export import Options, export_files
+from omniocc.export import export_files
 from omniocc.predict.options import load_rig, require
 from omniocc.run.script import quiet_libraries, script
-from omniocc.run.weights import find_checkpoint
 
 
 @script("export")
@@ -15,11 +14,7 @@ def main(cfg: DictConfig) -> None:
     """Check the options, export, print a line about the files."""
     quiet_libraries()
     require(cfg, ("checkpoint", "rig"), "export.py")
-    print(
-        export_files(
-            Options(find_checkpoint(cfg.checkpoint), load_rig(cfg.rig), Path(cfg.output), cfg.image_width, cfg.road_z_m)
-        )
-    )
+    print(export_files(cfg.checkpoint, load_rig(cfg.rig), Path(cfg.output), cfg.image_width, cfg.road_z_m))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, compose_config
-from omniocc.data import OccupancyData, VirtualWorld
+from omniocc.data import VirtualWorld
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.reader import SceneReader
@@ -25,7 +25,7 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.metric import DepthMetrics
 from omniocc.model.occupancy import to_unit_range
-from omniocc.predict.network import load_depth
+from omniocc.predict import load
 from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import BEST, LAST
@@ -101,7 +101,7 @@ def record_frames(recipe: dict[str, Any], folder: Path) -> None:
 
 def figures_of(weights: Path, frames: Path) -> dict[str, float]:
     """Return the scores of a file of weights on recorded frames."""
-    if load_checkpoint(weights).stage == "depth":
+    if load(weights).stage == "depth":
         return range_errors(weights, [SceneReader(meta.parent) for meta in sorted(frames.glob("*/meta.json"))])
     with tempfile.TemporaryDirectory() as place:
         command = [sys.executable, str(ROOT / "src" / "predict.py"), "occupancy", f"checkpoint={weights}"]
@@ -113,10 +113,10 @@ def figures_of(weights: Path, frames: Path) -> dict[str, float]:
 @torch.inference_mode()
 def range_errors(weights: Path, scenes: list[SceneFrames]) -> dict[str, float]:
     """Return the errors of a depth network on all frames of recorded scenes, with the keys of its stage."""
-    model, config = load_depth(weights)
-    data: OccupancyData = build(config.data)
+    trained = load(weights)
+    model = trained.depth
     spheres = cast(Any, model).rig_spheres(scenes[0].rigs[0])
-    errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, data.source.spec.range_edges_m)
+    errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, trained.data.spec.range_edges_m)
     for scene in scenes:
         for frame in range(len(scene)):
             images = to_unit_range(read_images(scene, frame)).unsqueeze(0)

@@ -17,12 +17,10 @@ from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
+from omniocc.predict import load, predict_depth
 from omniocc.predict.input.images import find_frames, read_frame, resized_to_width
-from omniocc.predict.network import load_depth, predict_depth
-from omniocc.predict.trained import training_data
 from omniocc.run.script import quiet_libraries
 from omniocc.run.table import markdown
-from omniocc.run.weights import find_checkpoint
 
 CLOTH_M = ((-5.53, 4.45), (-3.0, 3.0))
 """Ends of the cloth along x and y of the rig's frame."""
@@ -117,9 +115,9 @@ def main(folder: Path, checkpoints: list[str]) -> None:
     quiet_libraries()
     rig, rows = Rig.load("surround_view"), {}
     for name in checkpoints:
-        path = find_checkpoint(name)
-        model, config = load_depth(path)
-        width, panorama = training_data(path, config).width_for(rig), cast(Equirectangular, model.panorama)
+        trained = load(name)
+        model = trained.depth
+        width, panorama = trained.facts.width_for(rig), cast(Equirectangular, model.panorama)
         flat = road_m(panorama.rays().double(), cast(float, rig.road_z_m))
         rows["a flat road at its height"] = score(flat, panorama, rig)
         rows[name] = score(predicted(model, folder, rig, width), panorama, rig)

@@ -21,12 +21,10 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.data.formats.files import image_size, read_image
 from omniocc.data.formats.poses import rigid
 from omniocc.errors import UserError
+from omniocc.predict import load, predict_depth
 from omniocc.predict.input.images import resized_to_width
-from omniocc.predict.network import load_depth, predict_depth
-from omniocc.predict.trained import training_data
 from omniocc.run.script import quiet_libraries
 from omniocc.run.table import markdown
-from omniocc.run.weights import find_checkpoint
 
 NEAREST_M = 2.5
 """Points nearer than this, which may be of the own car, are left out."""
@@ -117,9 +115,9 @@ def main(folder: Path, checkpoints: list[str]) -> None:
     flat_m = torch.where(down < 0, frame.points_m.norm(dim=-1) * road_z_m / down.clamp(max=-1e-9), torch.inf)
     ranges_m = {"a flat road": flat_m.where(down < 0, torch.nan)}
     for name in checkpoints:
-        path = find_checkpoint(name)
-        model, config = load_depth(path)
-        width, panorama = training_data(path, config).width_for(frame.rig), cast(Equirectangular, model.panorama)
+        trained = load(name)
+        model = trained.depth
+        width, panorama = trained.facts.width_for(frame.rig), cast(Equirectangular, model.panorama)
         images, scaled = resized_to_width(frame.images, frame.rig, width)
         predicted_m = predict_depth(model, images, scaled, torch.device("cpu")).known_range_m()[0]
         pixels, valid = panorama.project(frame.points_m)

@@ -31,11 +31,10 @@ from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.layers import window_argmax
-from omniocc.predict.network import load_depth
+from omniocc.predict import load
 from omniocc.predict.road import flat_road_m, pulled_to_road
 from omniocc.run.script import quiet_libraries
 from omniocc.run.table import markdown
-from omniocc.run.weights import find_checkpoint
 
 SEEDS = (100, 101, 102, 103)
 HEIGHT_M = 1.2
@@ -181,7 +180,7 @@ def errors(frames: Sequence[Frame]) -> str:
 def main(checkpoint: str, split: str, drawn: bool, output: Path) -> None:
     """Print the tables of each rig, then of all of them."""
     quiet_libraries()
-    model: nn.Module = load_depth(find_checkpoint(checkpoint))[0]
+    model: nn.Module = load(checkpoint).depth
     if drawn:
         groups = {"drawn rigs": data_of(list(DRAWN))}
     else:

@@ -27,10 +27,9 @@ from omniocc.io import atomic_write
 from omniocc.metric import Calibration, DepthMetrics
 from omniocc.model.depth import DepthMap
 from omniocc.model.occupancy import to_unit_range
-from omniocc.predict.network import load_depth
+from omniocc.predict import load
 from omniocc.progress import Progress
 from omniocc.run.script import quiet_libraries
-from omniocc.run.weights import find_checkpoint
 from omniocc.task.depth import FARTHEST_M, judged
 
 ROOT = Path(__file__).parents[1]
@@ -146,7 +145,7 @@ def own_network(name: str, file: Path) -> nn.Module:
     recipe = {"stage": "depth", "overrides": [*overrides, f"preset.stages.depth.max_steps={OWN_STEPS}"]}
     train(recipe)
     folder, checkpoint = folder_of(recipe, ROOT / "runs")
-    return load_depth(folder / checkpoint)[0]
+    return load(folder / checkpoint).depth
 
 
 def table(rows: dict[str, dict[str, float]]) -> str:
@@ -162,7 +161,7 @@ def table(rows: dict[str, dict[str, float]]) -> str:
 def main(checkpoint: str, own: int, output: Path) -> None:
     """Score a checkpoint on all rigs and write the scores as JSON; print the table."""
     quiet_libraries()
-    model, rows = load_depth(find_checkpoint(checkpoint))[0], {}
+    model, rows = load(checkpoint).depth, {}
     files = {name: output / "rigs" / f"{name}.yaml" for name in UNSEEN}
     with Progress("unseen rigs", len(UNSEEN), "rigs") as progress:
         for name, file in files.items():

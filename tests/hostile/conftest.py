@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 from filelock import FileLock
 from scripts import run_script
 
@@ -27,12 +26,9 @@ def base(shared_folder, smoke, spec) -> Path:
     """Return the folder of sound files, which is made once: scenes, a checkpoint, a rig, images of a frame."""
     from fake_sweep import write_sweep
     from forge_datasets import write_all
-    from made_scenes import SCENES, write_scene
+    from made_scenes import SCENES, write_checkpoint, write_scene
 
-    from omniocc.config import plain
     from omniocc.predict.export_scene import export_scene
-    from omniocc.run.checkpoint import CONFIG, STAGE
-    from omniocc.task.build import build_task
 
     folder = shared_folder / "hostile-base"
     with FileLock(f"{folder}.lock"):
@@ -46,12 +42,7 @@ def base(shared_folder, smoke, spec) -> Path:
             shutil.copy(path, folder)
         cfg = smoke("data=recorded", f"data.source.root={folder / 'scenes'}", f"data.source.cache={folder / 'cache'}")
         cfg.data.source.splits = {"train": [SCENES[0]], "val": [], "test": [SCENES[1]]}
-        torch.manual_seed(3)
-        task = build_task(cfg, spec)
-        torch.nn.init.normal_(task.model.classifier.linear.weight)
-        (folder / "run").mkdir()
-        content = {STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}
-        torch.save(content, folder / "run" / "best.ckpt")
+        write_checkpoint(folder / "run" / "best.ckpt", cfg, spec)
         write_logs(folder)
         write_sound_bag(folder)
         write_all(folder / "datasets")

@@ -143,7 +143,7 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "own-import-subprocess": call("omniocc.run.fork_server.subprocess.Popen", ["touch", mark]),
         "own-function-atomic-write": call("omniocc.io.atomic_write", at_place, "text"),
         "own-function-build": call("omniocc.config.build", call("os.system", shell)),
-        "own-function-load-task": call("omniocc.task.build.load_task", str(path), []),
+        "own-function-load": call("omniocc.load", str(path)),
         "fork-server": {"_target_": "omniocc.run.fork_server.ForkServer", "script": str(evil), "log": f"{mark}.log"},
         "fork-server-of-itself": {
             "_target_": "omniocc.run.fork_server.ForkServer", "script": str(path), "log": f"{mark}.log"

@@ -11,23 +11,21 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from recorded_scene import RIG, write_scene
+from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras
 from omniocc.classes import ClassTable, SemanticClass
-from omniocc.config import plain
 from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.errors import UserError
+from omniocc.predict import load
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.input.sequence import find_scenes
-from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, other_heights, predict_occupancy
 from omniocc.run.checkpoint import CONFIG, STAGE
-from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
 
 ROOT = Path(__file__).parents[2]
@@ -42,25 +40,19 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory, spec) -> Path:
-    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, len(FRAMES))
+    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, 0, len(FRAMES), RIG)
 
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory, smoke, spec) -> Path:
     """Return a checkpoint with random weights that predict many classes."""
-    torch.manual_seed(3)
-    task = build_task(smoke(), spec)
-    torch.nn.init.normal_(task.model.classifier.linear.weight)
-    path = tmp_path_factory.mktemp("run") / "best.ckpt"
-    torch.save({STAGE: "occupancy", CONFIG: plain(smoke()), "state_dict": task.state_dict()}, path)
-    return path
+    return write_checkpoint(tmp_path_factory.mktemp("run") / "best.ckpt", smoke(), spec)
 
 
 @pytest.fixture(scope="module")
 def evaluated(scene, checkpoint, spec):
     """Return the labels of every frame and the scores of `evaluate.py`."""
-    task, _ = load_task(checkpoint, [])
-    task.eval()
+    task = load(checkpoint).task
     geometry = task.model.geometry
     data = WindowDataset([SceneReader(scene)], VoxelCache(scene.parent, geometry), task.model.temporal.frames)
     scores, labels = Scores(geometry, spec), []
@@ -171,13 +163,13 @@ def test_files_of_a_frame(images, scene, checkpoint, tmp_path, evaluated, monkey
     assert arrays["class_colors"][7].tolist() == [142, 0, 0]
     assert np.array_equal(arrays["world_from_ego"], SceneReader(scene).world_from_ego[1])
     # the code of the docs that places voxels, verbatim
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "predict.md").read_text(), re.DOTALL)
+    _, code = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "predict.md").read_text(), re.DOTALL)
     (tmp_path / "occupancy" / "0000").mkdir(parents=True)
     shutil.copy(folder / "voxels.npz", tmp_path / "occupancy" / "0000")
     monkeypatch.chdir(tmp_path)
     found: dict = {}
     exec(code, found)
-    geometry = load_task(checkpoint, [])[0].model.geometry
+    geometry = load(checkpoint).occupancy.geometry
     occupied = evaluated[0][1] > 0
     assert np.allclose(found["xyz_m"], geometry.centers(torch.float64).numpy()[occupied])
     assert found["names"].tolist() == [arrays["class_names"][k] for k in evaluated[0][1][occupied]]
@@ -308,8 +300,8 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
 
 
 def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
-    depth, _ = load_depth(checkpoint)
-    inside = load_task(checkpoint, [])[0].model.sketch.depth.state_dict()
+    depth = load(checkpoint).depth
+    inside = load(checkpoint).task.model.sketch.depth.state_dict()
     assert len(inside) > 20
     assert depth.state_dict().keys() == inside.keys()
     assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
@@ -317,7 +309,7 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
     torch.save({STAGE: "occupancy", CONFIG: content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
     with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
-        load_depth(tmp_path / "dense.ckpt")
+        load(tmp_path / "dense.ckpt").depth  # noqa: B018 - it is built when it is asked for
 
 
 def test_a_folder_without_a_scene_cannot_be_exported(tmp_path):
@@ -330,12 +322,10 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
     spec = dataclasses.replace(spec, classes=classes, range_edges_m=(0.0, 10.0, 20.0), road_z_m=-1.7)
     root = tmp_path / "scenes"
     for name in ("train-000-here", "test-000-here"):
-        write_scene(root / name, spec, 2)
+        write_scene(root / name, spec, 0, 2, RIG)
     splits = "data.source.splits={train: [train-*], val: [], test: [test-*]}"
     cfg = smoke("data=recorded", f"data.source.root={root}", splits, "data.num_classes=19")
-    task = build_task(cfg, spec)
-    trained = tmp_path / "nineteen.ckpt"
-    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, trained)
+    trained = write_checkpoint(tmp_path / "nineteen.ckpt", cfg, spec)
 
     run(f"checkpoint={trained}", f"recorded={root}", "overview=false", f"output={tmp_path / 'out'}")
     assert "as in training" in capsys.readouterr().out
@@ -348,7 +338,7 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
 
     source = source_of(images, trained)
     run(*source, *QUICK, "road_z_m=-0.7", f"output={tmp_path / 'own'}")  # 1 m higher than in training
-    low = task.model.geometry.height_m[0]
+    low = load(trained).occupancy.geometry.height_m[0]
     assert np.load(tmp_path / "own" / FRAMES[0] / "voxels.npz")["low"][2] == pytest.approx(low + 1)
 
     with pytest.raises(UserError, match=r"has 12 classes .*trained with 19"):
@@ -360,15 +350,13 @@ def test_a_network_of_drawn_rigs_keeps_its_grid_around_the_origin_of_the_rig(
 ):
     """As in its training, where every rig had the road at another height and labels lay around the rig."""
     cfg = smoke("data.source.rig=random")
-    trained = tmp_path / "drawn.ckpt"
-    task = build_task(cfg, dataclasses.replace(spec, road_z_m=None))
-    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, trained)
+    trained = write_checkpoint(tmp_path / "drawn.ckpt", cfg, dataclasses.replace(spec, road_z_m=None))
     shutil.copytree(images / FRAMES[0], tmp_path / "alone" / FRAMES[0])
     source = f"checkpoint={trained}", f"images={tmp_path / 'alone'}", f"rig={images / 'rig.yaml'}"
     run(*source, *QUICK, "road_z_m=-0.7", f"output={tmp_path / 'out'}")
     assert "the grid stays around the origin of the rig" in capsys.readouterr().out
     low = np.load(tmp_path / "out" / FRAMES[0] / "voxels.npz")["low"][2]
-    assert low == pytest.approx(task.model.geometry.height_m[0])
+    assert low == pytest.approx(load(trained).occupancy.geometry.height_m[0])
 
 
 def test_exported_images_state_the_road_and_are_those_of_the_training(images, checkpoint, spec, tmp_path, capsys, run):

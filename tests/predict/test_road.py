@@ -11,7 +11,6 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
 from omniocc.model.depth import Spheres
 from omniocc.model.ops.depth.depth_map import from_index
-from omniocc.predict.input.sequence import origin_above_rig, origin_line
 from omniocc.predict.road import check_within, flat_road_m, on_road, pulled_to_road, road_line
 
 PANORAMA, SPHERES = Equirectangular(8, 12, 45.0, -45.0), Spheres(32, 1.0)
@@ -66,17 +65,3 @@ def test_other_values_of_the_option_are_named(value):
     with pytest.raises(UserError, match=f"road_within={value}.*0 or more"):
         check_within(value)
     assert check_within(1) == 1.0
-
-
-def test_the_grid_lies_above_the_road_as_in_training_and_a_line_says_so():
-    assert origin_above_rig(-0.5, -2.2) == -0.5 + 2.2
-    line = origin_line(-0.5, -2.2)
-    assert "0.5 m below the origin of the rig (its road_z_m), 2.2 m in the training" in line
-    assert "lies 1.7 m higher; if that is wrong, correct road_z_m" in line
-    assert "lies 0.8 m lower" in origin_line(-3.0, -2.2)
-    assert origin_line(-2.2, -2.2) == ""
-    assert origin_above_rig(None, -2.2) == 0.0
-    assert "not known (road_z_m): taken for -2.2 m, as in training; state it in the rig file" in origin_line(None, -2.2)
-    for road_z_m in (None, -0.5):
-        assert origin_above_rig(road_z_m, None) == 0.0
-        assert "stays around the origin of the rig" in origin_line(road_z_m, None)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 from log_files import lidar_option
+from made_scenes import write_checkpoint
 
 from omniocc.config import build, check_root, plain
 from omniocc.data import DataError, SceneReader
+from omniocc.predict import load
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.run.checkpoint import CONFIG, STAGE
-from omniocc.task.build import build_task, switch_off_head
+from omniocc.task.build import switch_off_head
 from omniocc.task.depth import DepthTask
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
@@ -19,14 +20,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 
 def test_a_scene_without_labels_is_predicted(recorder, composed, smoke, spec, tmp_path, capsys):
     (folder,) = recorder().record(tmp_path)
-    torch.manual_seed(3)
-    task = build_task(smoke(), spec)
-    checkpoint = tmp_path / "best.ckpt"
-    torch.save({STAGE: "occupancy", CONFIG: plain(smoke()), "state_dict": task.state_dict()}, checkpoint)
+    checkpoint = write_checkpoint(tmp_path / "best.ckpt", smoke(), spec)
     given = (f"checkpoint={checkpoint}", f"recorded={folder}", f"output={tmp_path / 'out'}", "mesh=false")
     predict_occupancy(options_of(composed(*given, name="predict_occupancy")))
     labels = np.load(tmp_path / "out" / folder.name / "000001" / "voxels.npz")["labels"]
-    assert labels.shape == task.model.geometry.shape
+    assert labels.shape == load(checkpoint).occupancy.geometry.shape
     assert not (tmp_path / "out" / "metrics.json").exists()  # nothing to compare with
     assert "history   stream" in capsys.readouterr().out  # poses are known
 

@@ -78,5 +78,8 @@ def test_names_stand_for_shipped_weights_where_there_is_no_such_path(tmp_path, m
     assert find_checkpoint("runs/own") != packed
     (tmp_path / "own").write_bytes(np.zeros(3).tobytes())
     assert find_checkpoint("own").resolve() == tmp_path / "own"
+    for name in ("last.ckpt", "best.ckpt"):  # of a run's folder the best one, else the last
+        (tmp_path / name).touch()
+        assert find_checkpoint(tmp_path) == tmp_path / name
     with pytest.raises(FileNotFoundError, match=r"no such checkpoint; .* own"):
-        load_checkpoint(find_checkpoint("tinny"))
+        load_checkpoint("tinny")

@@ -10,7 +10,7 @@ from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from omniocc.errors import UserError
-from omniocc.task.build import load_task
+from omniocc.predict import load
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import step_generator
 
@@ -190,8 +190,7 @@ def test_the_average_is_validated_and_saved(averaged, averaging_task):
     torch.testing.assert_close(best["state_dict"]["model.classifier.linear.weight"], averages[best["global_step"] - 1])
     assert torch.equal(last["state_dict"]["prior"], prior)
     assert torch.equal(prior, averaging_task().prior)
-    rebuilt, _ = load_task(folder / "last.ckpt", [])
-    torch.testing.assert_close(rebuilt.model.classifier.linear.weight, averages[3])
+    torch.testing.assert_close(load(folder / "last.ckpt").task.model.classifier.linear.weight, averages[3])
 
 
 def test_a_resumed_run_goes_on_with_weights_and_average(averaged, averaging_task, tmp_path):

@@ -15,8 +15,7 @@ from omniocc.config import build
 from omniocc.data import RangeCache
 from omniocc.export.program import make_module
 from omniocc.model.ops.static import static_shapes
-from omniocc.predict.network import predict_depth
-from omniocc.predict.predictor import Predictor
+from omniocc.predict.predictor import Input, Predictor, predict_depth
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.task.depth import DepthTask
 from omniocc.task.stage_task import step_generator
@@ -124,7 +123,8 @@ def test_prediction_with_a_learned_sketch_returns_results_on_the_cpu(make_task, 
     for frame in range(2):
         pose = torch.eye(4, dtype=torch.float64)
         pose[0, 3] = frame
-        found = predictor.step(images, RIG, pose, None, Stopwatch(CUDA, ("read", "depth", "sketch", "occupancy")))
+        given = Input(*predictor.scaled(images, RIG), pose)
+        found = predictor.step(given, Stopwatch(CUDA, ("depth", "sketch", "occupancy")))
         assert not any(tagged(part) for part in (found.labels, found.candidates, found.range_m))
 
 

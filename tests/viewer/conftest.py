@@ -3,12 +3,7 @@
 from pathlib import Path
 
 import pytest
-import torch
-from made_scenes import SCENES, write_scene
-
-from omniocc.config import plain
-from omniocc.run.checkpoint import CONFIG, STAGE
-from omniocc.task.build import build_task
+from made_scenes import SCENES, write_checkpoint, write_scene
 
 
 @pytest.fixture(scope="session")
@@ -28,14 +23,7 @@ def make_run(tmp_path_factory, smoke, spec, dataset):
         splits = "data.source.splits={train: [test-*], val: [], test: []}"
         cfg = smoke("data=recorded", f"data.source.root={dataset}", splits, *overrides)
         cfg.data.source.splits = {"train": [SCENES[0]], "val": [], "test": list(SCENES[1:])}
-        torch.manual_seed(seed)
-        task = build_task(cfg, spec)
-        torch.nn.init.normal_(task.model.classifier.linear.weight)
-        path = tmp_path_factory.mktemp("runs") / name
-        path.mkdir()
-        content = {STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}
-        torch.save(content, path / "best.ckpt")
-        return path
+        return write_checkpoint(tmp_path_factory.mktemp("runs") / name / "best.ckpt", cfg, spec, seed).parent
 
     return make
 

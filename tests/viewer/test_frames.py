@@ -11,7 +11,7 @@ from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.metric import RayIoU, VoxelIoU
-from omniocc.task.build import load_task
+from omniocc.predict import load
 from omniocc.viewer.collect import open_shown
 from omniocc.viewer.models import mask_labels
 from omniocc.viewer.options import ViewOptions, unique_names
@@ -22,8 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 
 def evaluated(run, scene):
     """Return the labels that `evaluate.py` computes for a scene, with the true voxels."""
-    task, _ = load_task(run / "best.ckpt", [f"data.source.root={scene.parent}"])
-    task.eval()
+    task = load(run, [f"data.source.root={scene.parent}"]).task
     geometry = task.model.geometry
     labels = VoxelCache(scene.parent / "none", geometry)
     data = WindowDataset([SceneReader(scene)], labels, task.model.temporal.frames)

@@ -1,9 +1,9 @@
 """Export the whole network for one rig as a file that runs without this package."""
 
 from omniocc.export.contract import contract_of
-from omniocc.export.files import Options, export_files
+from omniocc.export.files import export_files
 from omniocc.export.program import Frame, Step, example_inputs, export_program, make_module
 
 __all__ = [
-    "Frame", "Options", "Step", "contract_of", "example_inputs", "export_files", "export_program", "make_module",
+    "Frame", "Step", "contract_of", "example_inputs", "export_files", "export_program", "make_module",
 ]  # fmt: skip

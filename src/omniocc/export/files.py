@@ -3,7 +3,6 @@
 import io
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,68 +16,46 @@ from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
 from omniocc.predict.input.images import even_size
-from omniocc.predict.input.sequence import origin_above_rig, origin_line, raise_rig, with_road
-from omniocc.predict.network import load_occupancy
-from omniocc.predict.trained import training_data
+from omniocc.predict.input.sequence import with_road
+from omniocc.predict.trained import load
 
 SUFFIXES = (".pt2", ".onnx")
 
 
-@dataclass(frozen=True)
-class Options:
-    """Options of `src/export.py`.
+def export_files(
+    checkpoint: str, rig: Rig, output: Path, image_width: int | None = None, road_z_m: float | None = None
+) -> str:
+    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
 
-    Attributes:
-        checkpoint: of the occupancy stage.
+    Args:
+        checkpoint: of the occupancy stage: a file, a run's folder, or the name of shipped weights.
         rig: cameras that the program is for.
         output: file to write, .pt2 or .onnx.
         image_width: width of the images that the program takes, px; None: as many pixels as in training.
         road_z_m: height of the road in the frame of the rig, m; None: that of the rig file, or unknown.
-    """
-
-    checkpoint: Path
-    rig: Rig
-    output: Path
-    image_width: int | None
-    road_z_m: float | None = None
-
-
-def export_files(options: Options) -> str:
-    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
 
     Raises:
         FileNotFoundError, UserError: when the checkpoint, rig, output or an option of the model cannot be used.
     """
-    output = options.output
     if output.suffix not in SUFFIXES:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
-    model, cfg = load_occupancy(options.checkpoint)
-    trained = training_data(options.checkpoint, cfg)
-    rig, height_m = on_road(with_road(options.rig, options.road_z_m), trained.road_z_m)
-    rig = scale_rig(rig, options.image_width or trained.width_for(rig))
+    found = load(checkpoint)
+    model, trained = found.occupancy, found.facts
+    rig, height_m, line = trained.place(with_road(rig, road_z_m))
+    if line:
+        print(f"road: {line}", file=sys.stderr, flush=True)
+    rig = scale_rig(rig, image_width or trained.width_for(rig))
     module = make_module(model, rig)
-    print(f"tracing the network of {options.checkpoint}: half a minute or more", file=sys.stderr, flush=True)
+    print(f"tracing the network of {found.path}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)
     contract = contract_of(module, trained.classes, height_m)
     print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
-    facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
+    facts = {"program": output.name, "checkpoint": str(found.path), "torch": torch.__version__}
     facts["frame_interval_s"] = trained.frame_interval_s
     described = output.with_name(f"{output.name}.json")
     atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")
     return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
-
-
-def on_road(rig: Rig, trained_z_m: float | None) -> tuple[Rig, float]:
-    """Return the rig with its origin as high above the road as in training, and by how much that is higher, m.
-
-    A line says how the origin moves. It stays where the height of the road is not known here or in the training.
-    """
-    line = origin_line(rig.road_z_m, trained_z_m)
-    if line:
-        print(f"road: {line}", file=sys.stderr, flush=True)
-    height_m = round(origin_above_rig(rig.road_z_m, trained_z_m), 6)
-    return raise_rig(rig, height_m) if height_m else rig, height_m
 
 
 def scale_rig(rig: Rig, width: int) -> Rig:

@@ -14,14 +14,13 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
-from omniocc.predict.network import load_depth, predict_depth
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
-from omniocc.predict.trained import training_data
-from omniocc.run.weights import find_checkpoint
+from omniocc.predict.trained import load
 from omniocc.view import predicted_sheet
 
 ShowRanges = Callable[[Frame, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
@@ -40,13 +39,11 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
     frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
     for line in remarks(frames, rig):
         print(line, flush=True)
-    road_within = check_within(cfg.road_within)
+    check_within(cfg.road_within)
     model, image_width = choose_model(cfg, overrides, rig)
     device = choose_device(cfg.device)
     for frame in frames:
-        folder = Path(cfg.output) / frame.name
-        line = predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device, show, road_within)
-        print(line, flush=True)
+        print(predict_frame(cfg, frame, rig, model, image_width, device, show), flush=True)
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
@@ -62,36 +59,29 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
     conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
     if conflicting:
         raise UserError(f"{conflicting[0]}: the checkpoint sets this; leave it out, or leave out the checkpoint")
-    path = find_checkpoint(cfg.checkpoint)
-    model, trained = load_depth(path, [text for text in overrides if text.startswith("depth.")])
+    trained = load(cfg.checkpoint, [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
-    return model, cfg.image_width if chosen else training_data(path, trained).width_for(rig)
+    return trained.depth, cfg.image_width if chosen else trained.facts.width_for(rig)
 
 
 def predict_frame(
-    frame: Frame,
-    folder: Path,
-    model: nn.Module,
-    rig: Rig,
-    image_width: int | None,
-    bev_range_m: float,
-    device: torch.device,
-    show: ShowRanges | None = None,
-    road_within: float = 0.0,
-) -> str:
-    """Predict one frame, write its files, show it, and return a line about it; `road_within` as in `on_road`."""
+    cfg: DictConfig, frame: Frame, rig: Rig, model: nn.Module, image_width: int | None, device: torch.device,
+    show: ShowRanges | None,
+) -> str:  # fmt: skip
+    """Predict one frame, write its files, show it, and return a line about it."""
+    folder = Path(cfg.output) / frame.name
     watch = Stopwatch(device, ("read", "depth", "write"))
     with watch("read"):
         images = read_frame(frame, rig)
         batch, scaled = resized_to_width(images, rig, image_width)
     with watch("depth"):
-        depth = on_road(predict_depth(model, batch, scaled, device), model, scaled, road_within)
+        depth = on_road(predict_depth(model, batch, scaled, device), model, scaled, cfg.road_within)
     with watch("write"):
         range_m, panorama = depth.known_range_m()[0], cast(Equirectangular, model.panorama)
         cloud = point_cloud(range_m, panorama, images, rig)
         missing = [name for name, file in zip(rig.names, frame.files, strict=True) if file is None]
         caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()
-        overview = predicted_sheet(images, rig, panorama, range_m, cloud.colors, caption, bev_range_m)
+        overview = predicted_sheet(images, rig, panorama, range_m, cloud.colors, caption, cfg.bev_range_m)
         points = write_depth(folder, depth, panorama, cloud, overview)
     if show is not None:
         show(frame, images, rig, range_m, panorama)

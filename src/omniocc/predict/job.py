@@ -3,14 +3,14 @@
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 from torch import Tensor
 
 from omniocc.batch import Truth
 from omniocc.metric import VoxelIoU
-from omniocc.predict.input.schedule import History, Lift, schedule
+from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, raise_poses
 from omniocc.predict.options import Options
 from omniocc.predict.output.voxel_files import (
@@ -22,15 +22,15 @@ from omniocc.predict.output.voxel_files import (
     write_mesh,
     write_voxels,
 )
-from omniocc.predict.predictor import STEPS, Prediction, Predictor
+from omniocc.predict.predictor import STEPS, Images, Input, Prediction, Predictor
 from omniocc.predict.stopwatch import Stopwatch
-from omniocc.predict.trained import TrainingData
+from omniocc.predict.training_data import TrainingData
 from omniocc.progress import Progress, clock
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
 
-ShowFrame = Callable[["Job", FrameSequence, int, Sequence[np.ndarray], Prediction, Truth | None], None]
+ShowFrame = Callable[["Job", FrameSequence, int, Images, Prediction, Truth | None], None]
 """Shows one frame: given the job, its sequence and index, its images, its prediction, and the truth if there is any."""
 
 
@@ -71,16 +71,13 @@ class Job:
         total = sum(map(len, left))
         if skipped := sum(len(sequence.wanted) for sequence in sequences) - total:
             print(f"{skipped} frames are finished in {self.output} and skipped; force=true predicts them again")
-        window = self.predictor.model.temporal.frames
         with Progress(f"predicting {self.output}", total) as progress:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):
                     self._score_finished(sequence, frame)
-                for lift in schedule(wanted, window, self.history):
-                    line = self._predict(sequence, lift)
-                    if line:
-                        progress.message(line)
-                        progress.advance()
+                for found in self.predictor.frames(wanted, self.history, partial(self._read, sequence)):
+                    progress.message(self._keep(sequence, *found))
+                    progress.advance()
 
     def left_of(self, sequence: FrameSequence) -> list[int]:
         """Return the wanted frames of a sequence that are not finished."""
@@ -96,23 +93,18 @@ class Job:
         count = len(self.seconds)
         return [f"{count} frame{'s' * (count != 1)} in {clock(total_s)}; median per frame: {steps}"]
 
-    def _predict(self, sequence: FrameSequence, lift: Lift) -> str:
-        """Lift a frame; if it is wanted, write and score its prediction and return a line about it."""
-        predictor, frame = self.predictor, lift.frame
-        watch = Stopwatch(predictor.device, STEPS)
-        if lift.reset:
-            predictor.reset()
-        with watch("read"):
-            images, true_range_m = sequence.images(frame), sequence.true_range_m(frame)
-        pose = None if sequence.world_from_ego is None else sequence.world_from_ego[frame]
-        prediction = predictor.step(images, sequence.rig, pose, true_range_m, watch)
-        if not lift.wanted:
-            return ""
-        truth = sequence.truth(frame, predictor.model.geometry, self.trained.unknown)
+    def _read(self, sequence: FrameSequence, frame: int) -> Input:
+        images, poses = sequence.images(frame), sequence.world_from_ego
+        pose = None if poses is None else poses[frame]
+        return Input(*self.predictor.scaled(images, sequence.rig), pose, sequence.true_range_m(frame), images)
+
+    def _keep(self, sequence: FrameSequence, frame: int, given: Input, prediction: Prediction, watch: Stopwatch) -> str:
+        """Write, show and score a prediction, and return a line about it."""
+        truth = sequence.truth(frame, self.predictor.model.geometry, self.trained.unknown)
         with watch("write"):
-            self._write(sequence, frame, images, prediction, truth)
+            self._write(sequence, frame, given.original, prediction, truth)
         if self.show is not None:
-            self.show(self, sequence, frame, images, prediction, truth)
+            self.show(self, sequence, frame, given.original, prediction, truth)
         scored = "" if truth is None else f"{self._score(prediction.labels, truth)}; "
         self.seconds.append(watch.seconds)
         occupied = int((prediction.labels > 0).sum())
@@ -122,7 +114,7 @@ class Job:
         self,
         sequence: FrameSequence,
         frame: int,
-        images: Sequence[np.ndarray],
+        images: Images,
         prediction: Prediction,
         truth: Truth | None,
     ) -> None:

@@ -21,20 +21,16 @@ from omniocc.predict.input.sequence import (
     ImageSequence,
     RecordedSequence,
     find_scenes,
-    origin_above_rig,
-    origin_line,
     with_road,
 )
 from omniocc.predict.job import Job, ShowFrame
-from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import Options, choose_device, load_rig, require
 from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
-from omniocc.predict.trained import TrainingData, training_data
-from omniocc.run.checkpoint_io import no_checkpoint
+from omniocc.predict.trained import load
+from omniocc.predict.training_data import TrainingData
 from omniocc.run.results import PROTOCOL, save_results
 from omniocc.run.table import summary
-from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
 
 SAME_HEIGHT_M = 0.1
@@ -46,7 +42,6 @@ def options_of(cfg: DictConfig) -> Options:
 
     Raises:
         UserError: naming the option that is missing, contradictory or of the wrong type.
-        FileNotFoundError: when there is no such checkpoint.
     """
     require(cfg, ("checkpoint",), "predict.py occupancy")
     node = OmegaConf.create({"occupancy": {"_target_": f"{Options.__module__}.Options", **cfg}})
@@ -58,10 +53,7 @@ def options_of(cfg: DictConfig) -> Options:
         raise UserError("rig=..., poses=... and road_z_m=... belong to images=...; recorded scenes have their own")
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
-    path = find_checkpoint(options.checkpoint)
-    if not path.is_file():
-        raise FileNotFoundError(no_checkpoint(path))
-    return replace(options, checkpoint=str(path))
+    return options
 
 
 def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
@@ -70,8 +62,8 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
     Raises:
         UserError, OSError: naming the option or file that cannot be used.
     """
-    model, cfg = load_occupancy(Path(options.checkpoint))
-    trained = training_data(Path(options.checkpoint), cfg)
+    found = load(options.checkpoint)
+    options, model, trained = replace(options, checkpoint=str(found.path)), found.occupancy, found.facts
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
@@ -137,7 +129,7 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
             raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
         poses = read_poses(Path(options.poses), [frame.name for frame in frames])
     sequence = ImageSequence(rig, frames, poses)
-    height_m = origin_above_rig(rig.road_z_m, trained.road_z_m)
+    _, height_m, _ = trained.place(rig)
     return [sequence.raise_origin(height_m) if height_m else sequence]
 
 
@@ -188,9 +180,10 @@ def facts_of(
 def announcement(
     options: Options, model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence], history: History
 ) -> list[str]:
-    """Return one line each about model, cameras and history."""
+    """Return one line each about model, cameras, road and history."""
     grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"
     past = model.temporal.frames - 1
+    road = "" if options.images is None else trained.place(rig_of(options))[2]
     parameters = sum(parameter.numel() for parameter in model.parameters()) / 1e6
     if history != "none":
         used = f"{history}: up to {past} past frames"
@@ -202,21 +195,11 @@ def announcement(
         used = f"off, as requested; the model was trained with {past} past frames"
     return [
         f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
-        f"cameras   {', '.join(sequences[0].rig.names)}: {compare_rig(sequences[0].rig, trained)}",
-        *own_height(sequences[0], trained),
+        f"cameras   {', '.join(sequences[0].rig.names)}: {trained.compare(sequences[0].rig)}",
+        *([f"road      {road}"] if road else []),
         *other_heights(sequences, trained),
         f"history   {used}",
     ]
-
-
-def own_height(sequence: FrameSequence, trained: TrainingData) -> list[str]:
-    """Return a line on how a user's own images, and not recorded scenes, are put above the road."""
-    rig = sequence.rig
-    if isinstance(sequence, RecordedSequence) or (rig.road_z_m is None and same_rig(rig, trained)):
-        return []
-    road_z_m = None if rig.road_z_m is None else rig.road_z_m + sequence.origin_z_m
-    line = origin_line(road_z_m, trained.road_z_m)
-    return [f"road      {line}"] if line else []
 
 
 def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> list[str]:
@@ -232,20 +215,3 @@ def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> 
                 f"expect wrong voxels{remedy}"
             ]
     return []
-
-
-def compare_rig(rig: Rig, trained: TrainingData) -> str:
-    """Return in words whether the model was trained with this rig."""
-    if trained.any_rig:
-        return "trained with rigs drawn at random"
-    same = same_rig(rig, trained)
-    return "as in training" if same else f"not those of the training ({trained.rig_name}): expect worse results"
-
-
-def same_rig(rig: Rig, trained: TrainingData) -> bool:
-    """Return whether the cameras are those of the training, at any size; one of both may not state the road."""
-    try:
-        scaled = rig.resized(*trained.image_size)
-    except ValueError:  # a lens cannot be brought to that size
-        return False
-    return replace(scaled, road_z_m=trained.rig.road_z_m) == trained.rig

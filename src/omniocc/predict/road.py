@@ -15,6 +15,8 @@ EDGES_M = (8.5, 17.0)
 """Distances of the road up to which its height is measured, band by band."""
 LIKE_ROAD = 0.25
 """Relative difference up to which a predicted range counts as one of the road."""
+WITHIN = 0.25
+"""Spheres around a flat road whose ranges are drawn onto it, where nothing else is chosen."""
 
 
 def check_within(value: object) -> float:

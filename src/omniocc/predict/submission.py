@@ -7,8 +7,7 @@ from omniocc.data.source import Split
 from omniocc.data.store.shard import sha256
 from omniocc.predict.options import choose_device
 from omniocc.predict.output.manifest import write_manifest
-from omniocc.run.weights import find_checkpoint
-from omniocc.task.build import load_task
+from omniocc.predict.trained import load
 from omniocc.task.submission import frames_of, write_files
 
 
@@ -29,8 +28,8 @@ def predict_submission(
         UserError: naming what does not exist or does not fit.
         DataError: naming a damaged file, or when the disk refuses.
     """
-    path = find_checkpoint(Path(checkpoint))
-    task, data = load_task(path, list(changes))
+    trained = load(checkpoint, changes)
+    path, task, data = trained.path, trained.task, trained.data
     frames = frames_of(data.source, split)
     scene, frame = frames[0]
     kind = Path(scene.prediction_file(frame)).suffix

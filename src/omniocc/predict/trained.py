@@ -1,86 +1,224 @@
-"""What a checkpoint's configuration tells about the data that its model was trained on."""
+"""From a checkpoint to what was trained: the network, the data, the task that scores it, predictions for arrays."""
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple, cast
 
-from omegaconf import DictConfig, OmegaConf
+import numpy as np
+from jaxtyping import Float32, UInt8
+from omegaconf import DictConfig
+from torch import nn
 
-from omniocc.camera import Rig
-from omniocc.classes import ClassTable
+from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build
 from omniocc.data import OccupancyData
-from omniocc.data.source import Unknown
-from omniocc.data.source.cameras import training_rig
-from omniocc.errors import UserError
-from omniocc.run.checkpoint import check_parts
+from omniocc.data.formats.files import check_aspect
+from omniocc.errors import DataError, UserError
+from omniocc.geometry import Grid
+from omniocc.model import OccupancyModel
+from omniocc.predict.input.images import resized_to_width
+from omniocc.predict.options import choose_device, load_rig
+from omniocc.predict.output.voxel_files import raise_grid
+from omniocc.predict.predictor import STEPS, Images, Input, Predictor, predict_depth
+from omniocc.predict.road import WITHIN, on_road
+from omniocc.predict.stopwatch import Stopwatch
+from omniocc.predict.training_data import TrainingData
+from omniocc.run.checkpoint import (
+    Checkpoint,
+    check_parts,
+    load_checkpoint,
+    load_weights,
+    part_weights,
+    with_overrides,
+    without_pretrained,
+)
+from omniocc.run.trust import building
+from omniocc.task import OccupancyTask
+from omniocc.task.build import PARTS, build_task, check_changes, check_places
 
 
-@dataclass(frozen=True)
-class TrainingData:
-    """The data that a model was trained on.
+class PredictedVoxels(NamedTuple):
+    """Classes of the cells around a car.
 
     Attributes:
-        rig: its cameras, at the size of its images; those of its first frame, if they differ.
-        rig_name: name or file of the rig, `random`, or a phrase where scenes are recorded.
-        road_z_m: height of the road in its ego frame, m; None: another one in every scene, as with drawn rigs.
-        classes: table of the model's classes.
-        unknown: label of true cells without points.
-        frame_interval_s: time between frames, and so the age of the newest past one, s.
+        labels: class of every cell, 0 free.
+        grid: of the labels, in the frame of the rig that was given.
+        names: of the classes.
+        colors: RGB of the classes.
     """
 
-    rig: Rig
-    rig_name: str
-    road_z_m: float | None
-    classes: ClassTable
-    unknown: Unknown
-    frame_interval_s: float
+    labels: UInt8[np.ndarray, "X Y Z"]
+    grid: Grid
+    names: tuple[str, ...]
+    colors: UInt8[np.ndarray, "K 3"]
+
+
+class PredictedRanges(NamedTuple):
+    """Ranges around a car.
+
+    Attributes:
+        range_m: distance along the ray of every pixel, m, nan without an answer.
+        panorama: directions of the pixels.
+    """
+
+    range_m: Float32[np.ndarray, "h w"]
+    panorama: Equirectangular
+
+
+def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequence[str] = ()) -> "Trained":
+    """Return what was trained in a checkpoint; its parts are built when they are asked for.
+
+    Args:
+        checkpoint: a file, a run's folder (its best checkpoint, else its last), or the name of shipped weights.
+        overrides: of its configuration, `key=value`.
+        packages: whose classes it may name beside those of this platform.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        UserError: when it is damaged or of an older version, or an override has no effect.
+    """
+    content = load_checkpoint(checkpoint)
+    check_changes(content.path, overrides, ("depth", "data", *PARTS))
+    return Trained(content, with_overrides(content.config, overrides), tuple(overrides), tuple(packages))
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """What a checkpoint holds. Every part of its configuration is checked before anything is built from it.
+
+    All parts raise UserError when the checkpoint holds none, when its weights do not fit or are not finite, or when the
+    configuration names classes that are not offered; and ConfigError when it does not fit this version.
+
+    Attributes:
+        checkpoint: content of the file, with the configuration of the training.
+        config: that configuration with the overrides, resolved.
+        overrides: `key=value`.
+        packages: whose classes may be built beside those of this platform.
+    """
+
+    checkpoint: Checkpoint
+    config: DictConfig
+    overrides: tuple[str, ...]
+    packages: tuple[str, ...]
 
     @property
-    def any_rig(self) -> bool:
-        """Return whether every scene had another rig."""
-        return self.road_z_m is None
-
-    def width_for(self, rig: Rig) -> int:
-        """Return the width, px, at which images of a rig have about as many pixels as those of the training."""
-        width, height = self.image_size
-        camera = rig.cameras[0]
-        return round((width * height * camera.width / camera.height) ** 0.5)
+    def path(self) -> Path:
+        """Return the file."""
+        return self.checkpoint.path
 
     @property
-    def image_size(self) -> tuple[int, int]:
-        """Return width and height of the first camera's images, px."""
-        return self.rig.cameras[0].width, self.rig.cameras[0].height
+    def stage(self) -> str:
+        """Return what was trained: `depth`, `sketch` or `occupancy`."""
+        return self.checkpoint.stage
+
+    @property
+    def model(self) -> nn.Module:
+        """Return the occupancy model; of earlier stages the depth network."""
+        return self.occupancy if self.stage == OccupancyTask.STAGE else self.depth
+
+    @cached_property
+    def depth(self) -> nn.Module:
+        """Return the depth network, of any stage, in evaluation mode."""
+        own = part_weights(self.checkpoint, "depth")
+        self._check("depth")
+        with building(self.path, own):
+            depth = build(self.config.depth)
+        return load_weights(depth, own, self.path, "is it a depth network, are overrides needed?").eval()
+
+    @cached_property
+    def occupancy(self) -> OccupancyModel:
+        """Return the occupancy model, sketch and depth included, in evaluation mode."""
+        if self.stage != OccupancyTask.STAGE:
+            raise UserError(
+                f"{self.path} is a checkpoint of the {self.stage} stage; this needs one of the occupancy stage, "
+                "such as runs/<name>-<hash>/best.ckpt"
+            )
+        check_changes(self.path, self.overrides)
+        self._check("model")
+        own = self.checkpoint.model_weights
+        with building(self.path, own):
+            model = build(without_pretrained(self.config.model))
+        return load_weights(model, own, self.path).eval()
+
+    @cached_property
+    def task(self) -> OccupancyTask:
+        """Return the occupancy model with its losses and scores, in evaluation mode."""
+        model, cfg = self.occupancy, self.config.copy()
+        self._check(*PARTS)
+        cfg.model = without_pretrained(cfg.model)
+        with building(self.path, self.checkpoint.weights):
+            task = build_task(cfg, self.data.spec, model)
+        return load_weights(task, self.checkpoint.weights, self.path).eval()
+
+    @property
+    def data(self) -> OccupancyData:
+        """Return the data of its configuration; nothing is read or made.
+
+        Raises:
+            UserError: also when the file chooses a place for them that it may not choose; see `check_places`.
+        """
+        check_places(self.path, self._data.source, {word.partition("=")[0] for word in self.overrides})
+        self._data.check_classes()
+        return self._data
+
+    @cached_property
+    def facts(self) -> TrainingData:
+        """Return what is known of the training's data, without any of its scenes where the configuration suffices."""
+        self._data.check_classes()
+        return TrainingData.of(self._data, self.config)
+
+    def predict(
+        self, images: Images | UInt8[np.ndarray, "N H W 3"], rig: Rig | str | Path
+    ) -> PredictedVoxels | PredictedRanges:
+        """Return the voxels around a car, or the ranges if only a depth network was trained, from one frame.
+
+        Images are scaled to about as many pixels as those of the training; all else is as `predict.py` does it. A line
+        on stderr says if the grid moves because the road lies at another height than in the training.
+
+        Args:
+            images: (H, W, 3) uint8 RGB of every camera, in the rig's order.
+            rig: the cameras, the name of a built-in rig, or a rig file.
+
+        Raises:
+            UserError: also when the rig cannot be used, the images do not fit it, or the network returns NaN.
+        """
+        rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
+        check_images(listed := list(images), rig)
+        facts, device = self.facts, choose_device(None)
+        width, classes = facts.width_for(rig), facts.classes
+        if self.stage != OccupancyTask.STAGE:
+            batch, scaled = resized_to_width(listed, rig, width)
+            depth = on_road(predict_depth(self.depth, batch, scaled, device), self.depth, scaled, WITHIN)
+            return PredictedRanges(depth.known_range_m()[0].numpy(), cast(Equirectangular, self.depth.panorama))
+        placed, height_m, line = facts.place(rig)
+        if line:
+            print(f"road      {line}", file=sys.stderr, flush=True)
+        predictor = Predictor(self.occupancy, width, (), device)
+        found = predictor.step(Input(*predictor.scaled(listed, placed)), Stopwatch(device, STEPS))
+        grid, colors = raise_grid(self.occupancy.geometry, height_m), classes.palette[: classes.num_classes]
+        return PredictedVoxels(found.labels.numpy(), grid, classes.names, colors)
+
+    @cached_property
+    def _data(self) -> OccupancyData:
+        self._check("data")
+        return build(self.config.data)
+
+    def _check(self, *parts: str) -> None:
+        check_parts(self.path, self.config, parts, self.packages)
 
 
-def training_data(path: Path, cfg: DictConfig) -> TrainingData:
-    """Return what the data source in `cfg`, the configuration of the checkpoint at `path`, tells about its data.
-
-    Raises:
-        UserError: when the source cannot be built here, needs scenes that are not there, or has other classes.
-    """
-    return facts_of(open_data(path, cfg), cfg)
-
-
-def facts_of(data: OccupancyData, cfg: DictConfig) -> TrainingData:
-    """Return what data tells about itself; `cfg` is the configuration that it was built from.
-
-    Raises:
-        UserError: when its source needs scenes that are not there.
-    """
-    source, spec = data.source, data.spec
-    name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
-    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown, spec.frame_interval_s)
-
-
-def open_data(path: Path, cfg: DictConfig) -> OccupancyData:
-    """Return the data that `cfg`, the configuration of the checkpoint at `path`, describes; nothing is read or made.
-
-    Raises:
-        UserError: as `training_data`.
-    """
-    if "data" not in cfg:
-        raise UserError(f"{path} is of another version: its configuration has no data")
-    check_parts(path, cfg, ["data"])
-    data: OccupancyData = build(cfg.data)
-    data.check_classes()
-    return data
+def check_images(images: Images, rig: Rig) -> None:
+    """Raise UserError unless each camera has one array (H, W, 3) uint8 of the aspect ratio of its calibration."""
+    if len(images) != len(rig.names):
+        raise UserError(f"{len(images)} images for {len(rig.names)} cameras; give one each, of {', '.join(rig.names)}")
+    for image, name, camera in zip(images, rig.names, rig.cameras, strict=True):
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise UserError(f"camera '{name}': the image is {what}; give a numpy array (H, W, 3) uint8, RGB")
+        try:
+            check_aspect((image.shape[1], image.shape[0]), camera, f"camera '{name}'")
+        except DataError as error:
+            raise UserError(str(error)) from error

@@ -23,7 +23,7 @@ from omniocc.data.recording.pool import usable_cores
 from omniocc.errors import UserError, shortened
 from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.run.trust import fault_of, not_offered
-from omniocc.run.weights import SUFFIX, read_weights
+from omniocc.run.weights import SUFFIX, find_checkpoint, read_weights
 
 STAGE, CONFIG = "stage", "config"
 """Keys of a checkpoint beside Lightning's own."""
@@ -79,13 +79,14 @@ def part_weights(trained: Checkpoint, part: str) -> dict[str, Tensor]:
     return own
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
-    """Return the content of a checkpoint, or of a file of weights.
+def load_checkpoint(given: str | Path) -> Checkpoint:
+    """Return the content of a checkpoint, or of a file of weights; see `find_checkpoint`.
 
     Raises:
         FileNotFoundError: when there is no such file.
         UserError: when it is damaged, not one of this platform, or of an older version.
     """
+    path = find_checkpoint(given)
     content = read_weights(path)[0] if path.suffix == SUFFIX else read_checkpoint(path)
     if STAGE not in content:
         raise UserError(f"{path} names no stage: it is of an older version; train again")

@@ -11,9 +11,8 @@ from lightning.pytorch.plugins.io import CheckpointIO
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, remove_leftovers
-from omniocc.run.weights import shipped
+from omniocc.run.weights import BEST, LAST, shipped
 
-LAST, BEST = "last.ckpt", "best.ckpt"
 UNREADABLE = (
     zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError, MemoryError
 )  # fmt: skip
@@ -40,16 +39,12 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
 
 
 def no_checkpoint(path: Path) -> str:
-    """Return the message for a path that is no file; in a run's folder it names the checkpoint."""
-    if (path / BEST).is_file():
-        return f"{path} is the folder of a run; its checkpoint is {path / BEST}"
-    return f"{path}: there is no such checkpoint{shipped_hint()}"
-
-
-def shipped_hint() -> str:
-    """Return a phrase that names the weights that come with the package; nothing if there are none."""
+    """Return the message for a path that is no file."""
+    if path.is_dir():
+        return f"{path}: the folder has neither {BEST} nor {LAST} (is it a run of train.py?)"
     names = ", ".join(shipped())
-    return f"; the names of weights that come with the package are {names}" if names else ""
+    hint = f"; the names of weights that come with the package are {names}" if names else ""
+    return f"{path}: there is no such checkpoint{hint}"
 
 
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:

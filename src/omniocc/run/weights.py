@@ -19,6 +19,8 @@ SHIPPED = Path(omniocc.__file__).parent / "weights"
 """Folder of the weights that come with the package; beside each a card (`<name>.md`) says what it is good for."""
 SUFFIX = ".safetensors"
 FORMAT = "omniocc-weights-1"
+LAST, BEST = "last.ckpt", "best.ckpt"
+"""Checkpoints of a run, in its folder."""
 
 
 def shipped() -> list[str]:
@@ -27,10 +29,15 @@ def shipped() -> list[str]:
 
 
 def find_checkpoint(given: str | Path) -> Path:
-    """Return a checkpoint's file: a path, or the name of weights that come with the package."""
+    """Return a checkpoint's file: a path, that in a run's folder (its best one, else its last), or shipped weights.
+
+    `given` is their name then. What does not exist is returned as it is.
+    """
     path = Path(given)
     named = SHIPPED / f"{given}{SUFFIX}"
-    return named if not path.exists() and path.name == str(given) and named.is_file() else path
+    if not path.exists() and path.name == str(given) and named.is_file():
+        return named
+    return next((path / name for name in (BEST, LAST) if (path / name).is_file()), path)
 
 
 def digest_of(weights: Mapping[str, Tensor]) -> str:

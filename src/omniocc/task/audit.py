@@ -1,6 +1,7 @@
 """Where a model loses its score: geometry or classes, itself, its sketch or its ranges; what cameras see of the car."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -11,15 +12,49 @@ from omniocc.batch import Batch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.parallax import pixels_per_metre
 from omniocc.classes import FREE, UNKNOWN
-from omniocc.data import SourceSpec
+from omniocc.data import Needs, OccupancyData, SourceSpec
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
+from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.evidence import LOG_ODDS
-from omniocc.model.protocols import Sketched
+from omniocc.model.protocols import LearnedSketch, Sketched, learns
+from omniocc.progress import Progress
+from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.scores import Scores
 
 THRESHOLDS = (0.08, 0.15, 0.25, 0.35, 0.5)
 """Probabilities at which the sketch is cut, to compare its geometry with the model's."""
+
+
+@torch.inference_mode()
+def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
+    """Return what each part of a model costs, on validation scenes, in words.
+
+    Raises:
+        UserError: when there are none with true voxels.
+    """
+    data.prepare_data()
+    scenes = data.source.scenes("val")
+    if not scenes or data.voxels.read(scenes[0], 0) is None:
+        raise UserError(f"{data.source.folder} has no true voxels of validation scenes, with which an audit compares")
+    print(f"{len(scenes)} validation scenes of {data.source.folder}")
+    needs = Needs(panorama=True)
+    data.read_only(needs, needs)
+    data.setup()
+    loader, task = data.val_dataloader(), task.eval()
+    found = Audit(task.model.geometry, data.spec)
+    with Progress("audit", len(loader), "batches") as progress:
+        for batch in loader:
+            logits = task.predict(batch).logits
+            images = to_unit_range(batch.images[:, -1])
+            found.update(logits, task.model.choose(images, batch.newest_rigs), batch)
+            if batch.erp_range_m is not None and learns(type(task.model.sketch)):
+                sketch = cast(LearnedSketch, task.model.sketch)
+                seen = sketch.depth(images, batch.newest_rigs, batch.erp_range_m)
+                found.update_ranges(seen.range_m, batch, sketch.panorama)
+            progress.advance()
+    return found.lines()
 
 
 class Audit(nn.Module):

@@ -1,20 +1,19 @@
-"""Build the occupancy task from a configuration, or from only a checkpoint."""
+"""Build the occupancy task from a configuration; check what a checkpoint's configuration may be changed to."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Trainer
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 
 from omniocc.config import OWN_PACKAGE, build, plain
-from omniocc.data import OccupancyData, SourceSpec, VirtualWorld
+from omniocc.data import SourceSpec, VirtualWorld
 from omniocc.data.source import SceneFrames, SceneSource
 from omniocc.data.store.files import is_url
 from omniocc.errors import UserError, first_line
 from omniocc.geometry import Grid
-from omniocc.run.checkpoint import check_parts, load_checkpoint, load_weights, with_overrides, without_pretrained
-from omniocc.run.trust import building
+from omniocc.model import OccupancyModel
 from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
@@ -73,47 +72,19 @@ def line_on_lifter(lifter: DictConfig, geometry: Grid) -> str | None:
     )
 
 
-def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
-    """Return the task that a configuration describes for data with this spec, with fresh weights.
+def build_task(cfg: DictConfig, spec: SourceSpec, trained: OccupancyModel | None = None) -> OccupancyTask:
+    """Return the task that a configuration describes for data with this spec, with fresh weights or a trained model.
 
     Raises:
         UserError: when parts do not fit together.
     """
     if cfg.model.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
         raise UserError("model.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
-    model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
+    model = build(cfg.model) if trained is None else trained
+    loss, optimizer, augment = (build(cfg[part]) for part in PARTS[1:])
     config = plain(cfg)
     factors = config.get("rate_factors") or {}  # checkpoints of older versions have none
     return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, config, factors)
-
-
-def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, OccupancyData]:
-    """Return the trained task of a checkpoint of the occupancy stage, and the data of its configuration.
-
-    Both get the overrides (`key=value`), of which `packages=[...]` allows classes of other packages.
-
-    Raises:
-        ConfigError: when an override does not fit.
-        FileNotFoundError: when there is no such file.
-        UserError: when it is damaged, of another stage or version, or names classes that are not allowed.
-    """
-    trained = load_checkpoint(path)
-    if trained.stage != OccupancyTask.STAGE:
-        raise UserError(f"{path} is a checkpoint of the {trained.stage} stage; this needs one of the occupancy stage")
-    changes = [word for word in overrides if not word.startswith("packages=")]
-    packages = OmegaConf.from_dotlist(list(overrides)).get("packages", ())
-    check_changes(path, changes)
-    cfg = with_overrides(trained.config, changes)
-    if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
-        raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
-    check_parts(path, cfg, (*PARTS, "data"), packages)
-    cfg.model = without_pretrained(cfg.model)
-    data: OccupancyData = build(cfg.data)
-    check_places(path, data.source, {key.partition("=")[0] for key in changes})
-    data.check_classes()
-    with building(path, trained.weights):
-        task = build_task(cfg, data.spec)
-    return load_weights(task, trained.weights, path), data
 
 
 def check_places(path: Path, source: SceneSource, given: Collection[str]) -> None:
@@ -143,23 +114,24 @@ def check_places(path: Path, source: SceneSource, given: Collection[str]) -> Non
             )
 
 
-def check_changes(path: Path, overrides: Sequence[str]) -> None:
-    """Check that overrides of a checkpoint's configuration have an effect, and only the one that is meant.
+def check_changes(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *PARTS)) -> None:
+    """Check that overrides of a checkpoint's configuration have an effect on `parts`, and only the one that is meant.
 
     Raises:
         UserError: naming the override, and what to do instead.
     """
+    known = ", ".join(parts)
     for key in (word.partition("=")[0] for word in overrides):
         part = key.partition(".")[0]
         if "/" in key:
             raise UserError(
                 f"{key}: {path} keeps the options that it was trained with; single keys of "
-                f"{', '.join(('data', *PARTS))} can be changed, such as data.source.root=..."
+                f"{known} can be changed, such as data.source.root=..."
             )
-        if part not in (*PARTS, "data"):
+        if part not in parts:
             raise UserError(
-                f"{key}: this has no effect on {path}; only keys of {', '.join(('data', *PARTS))} can be changed, such "
-                "as data.source.root=..."
+                f"{key}: this has no effect on {path}; only keys of {known} can be changed, "
+                "such as data.source.root=..."
             )
         if key == part:
             raise UserError(

@@ -1,6 +1,6 @@
 """The occupancy stage: train the model, validate by RayIoU, test it beside a baseline and the true voxels."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import torch
@@ -8,7 +8,7 @@ from lightning.pytorch import Callback
 from lightning.pytorch.callbacks import EMAWeightAveraging
 from torch import Tensor, nn
 
-from omniocc.batch import Batch
+from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
@@ -147,6 +147,16 @@ class OccupancyTask(StageTask[OccupancyModel]):
         for name, scores in rows.items():
             self.log_dict({f"{name}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
             scores.reset()
+
+
+@torch.inference_mode()
+def predictions(task: OccupancyTask, batches: Iterable[Batch], device: torch.device) -> Iterator[tuple[Batch, Tensor]]:
+    """Yield batches on a device, each with the class of every cell; see `OccupancyTask.evaluate`."""
+    task.to(device).eval().stream.reset()
+    for batch in batches:
+        there = to_device(batch, device)
+        yield there, task.evaluate(there)
+    task.stream.reset()
 
 
 def fixed_parts(model: nn.Module, factors: Mapping[str, float]) -> tuple[nn.Module, ...]:

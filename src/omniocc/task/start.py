@@ -12,7 +12,6 @@ from omniocc.model import OccupancyModel
 from omniocc.model.protocols import LearnedSketch
 from omniocc.run.checkpoint import Checkpoint, load_checkpoint, part_weights
 from omniocc.run.folder import given_checkpoint
-from omniocc.run.weights import find_checkpoint
 from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.stage_task import Recipe
 
@@ -48,7 +47,7 @@ def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, 
     Raises:
         UserError: when the checkpoint does not hold the stage, or its weights do not fit.
     """
-    trained = load_checkpoint(find_checkpoint(weights))
+    trained = load_checkpoint(weights)
     own = part_weights(trained, stage)
     place, left_out = _network(stage, config)
     other = list(_differing(*(_part(one, place, left_out) for one in (plain(trained.config), config))))
@@ -101,7 +100,7 @@ def check_weights(weights: str, resume: str) -> None:
     """
     if given_checkpoint(resume) is not None:
         raise UserError(f"resume={resume} has weights of its own: leave it out, or leave out weights={weights}")
-    _occupancy_checkpoint(find_checkpoint(weights), "weights")
+    _occupancy_checkpoint(weights, "weights")
 
 
 def load_fitting(model: OccupancyModel, weights: str, config: Mapping[str, Any]) -> str:
@@ -117,7 +116,7 @@ def load_fitting(model: OccupancyModel, weights: str, config: Mapping[str, Any])
     Raises:
         UserError: when none fits.
     """
-    trained = _occupancy_checkpoint(find_checkpoint(weights), "weights")
+    trained = _occupancy_checkpoint(weights, "weights")
     given, counted = trained.model_weights, [f"classifier.{name}" for name in model.classifier.COUNTED]
     own = {name: value for name, value in model.state_dict().items() if not name.startswith(("sketch.", *counted))}
     fitting = {name: given[name] for name in own if name in given and given[name].shape == own[name].shape}
@@ -131,12 +130,12 @@ def load_fitting(model: OccupancyModel, weights: str, config: Mapping[str, Any])
     return f"{line}; another grid: {'; '.join(other)}" if other else line
 
 
-def _occupancy_checkpoint(path: Path, key: str) -> Checkpoint:
-    trained = load_checkpoint(path)
+def _occupancy_checkpoint(given: str | Path, key: str) -> Checkpoint:
+    trained = load_checkpoint(given)
     if trained.stage != OccupancyTask.STAGE:
         raise UserError(
-            f"{key}={path} is a checkpoint of the {trained.stage} stage, and this needs one of the occupancy stage; "
-            f"the {trained.stage} stage starts from it by stages.{trained.stage}.weights=..."
+            f"{key}={trained.path} is a checkpoint of the {trained.stage} stage, and this needs one of the occupancy "
+            f"stage; the {trained.stage} stage starts from it by stages.{trained.stage}.weights=..."
         )
     return trained
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import torch
 
-from omniocc.batch import to_device
 from omniocc.data import OccupancyData, SceneSource
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
@@ -13,7 +12,7 @@ from omniocc.data.source import SPLITS, NumberedSubmissions, PredictionReader, S
 from omniocc.errors import UserError
 from omniocc.geometry import look_up
 from omniocc.progress import Progress
-from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.occupancy import OccupancyTask, predictions
 from omniocc.task.scores import Scores
 
 
@@ -86,7 +85,6 @@ def frames_of(source: SceneSource, split: Split) -> list[tuple[SubmittedScene, i
     return frames
 
 
-@torch.inference_mode()
 def write_files(
     task: OccupancyTask,
     data: OccupancyData,
@@ -107,13 +105,12 @@ def write_files(
     data.setup()
     benchmark = data.spec.benchmark
     assert benchmark is not None
-    task, samples = task.to(device).eval(), data.dataset(split)
-    with Progress("predictions", len(frames)) as progress:
-        for index, (scene, frame) in enumerate(frames):
-            path = folder / scene.prediction_file(frame)
-            if not path.exists():
-                batch = to_device(collate([samples[index]]), device)
-                classes = look_up(task.evaluate(batch), task.model.geometry, benchmark.grid)
-                scene.write_prediction(path, classes[0].cpu().numpy())
+    left = [k for k, (scene, frame) in enumerate(frames) if not (folder / scene.prediction_file(frame)).exists()]
+    samples = data.dataset(split)
+    predicted = predictions(task, (collate([samples[k]]) for k in left), device)
+    with Progress("predictions", len(left)) as progress:
+        for (scene, frame), (_, labels) in zip((frames[k] for k in left), predicted, strict=True):
+            classes = look_up(labels, task.model.geometry, benchmark.grid)
+            scene.write_prediction(folder / scene.prediction_file(frame), classes[0].cpu().numpy())
             progress.advance()
     return len(frames)

@@ -6,11 +6,13 @@ from omniocc.batch import Batch
 from omniocc.geometry import Cylinder, Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.sequence import frame_name
-from omniocc.predict.predictor import Prediction
+from omniocc.predict.options import choose_device
+from omniocc.predict.predictor import Prediction, Predictor
+from omniocc.predict.trained import load
 from omniocc.progress import Progress
 from omniocc.task.scores import Scores
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures, load_models
+from omniocc.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures
 from omniocc.viewer.options import ViewOptions, unique_names
 from omniocc.viewer.predictions import open_predictions
 from omniocc.viewer.scenes import ChosenScenes, recorded_frame, recorded_scenes, test_scenes
@@ -29,7 +31,11 @@ def open_shown(options: ViewOptions, grids: Sequence[Grid] = (PAPER_GRID,)) -> S
     """
     if options.predictions is not None:
         return open_predictions(options)
-    models = load_models(options.run, unique_names(options.run), options.device)
+    trained, device = map(load, options.run), choose_device(options.device)
+    models = [
+        TrainedModel(name, one, Predictor(one.occupancy, None, (), device))
+        for name, one in zip(unique_names(options.run), trained, strict=True)
+    ]
     scenes = _scenes(options, models)
     check_classes(models, scenes)
     return show_scenes(scenes, models, tuple(dict.fromkeys(model.grid for model in models)) or tuple(grids))
@@ -63,8 +69,8 @@ def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScene
     panorama = next((model.predictor.panorama for model in models), None)
     chosen = options.scene, options.frames, options.limit
     if options.recorded is None:
-        return test_scenes(models[0].data, *chosen, panorama)
-    unknown = models[0].trained.unknown if models else "free"
+        return test_scenes(models[0].trained.data, *chosen, panorama)
+    unknown = models[0].trained.facts.unknown if models else "free"
     return recorded_scenes(options.recorded, *chosen, unknown, panorama)
 
 
@@ -85,13 +91,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
 def _prediction(
     model: TrainedModel, answer: tuple[Prediction, PixelLabels], truth: Batch | None, scores: Scores
 ) -> FramePrediction:
-    prediction, pixels = answer
-    return FramePrediction(
-        labels=prediction.labels,
-        grid=model.grid,
-        candidates=prediction.candidates,
-        range_m=prediction.range_m,
-        panorama=None if prediction.range_m is None else model.predictor.panorama,
-        pixel_labels=pixels,
-        figures={} if truth is None else frame_figures(scores, prediction.labels, truth),
-    )
+    (labels, candidates, range_m), pixels = answer
+    panorama = None if range_m is None else model.predictor.panorama
+    figures = {} if truth is None else frame_figures(scores, labels, truth)
+    return FramePrediction(labels, model.grid, candidates, range_m, panorama, pixels, figures)

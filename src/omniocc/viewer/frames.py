@@ -1,7 +1,7 @@
 """What a viewer shows: frames with their truth, and the predictions of some models for them."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
@@ -32,10 +32,10 @@ class FramePrediction:
     labels: UInt8[Tensor, "X Y Z"]
     grid: Grid
     candidates: Bool[Tensor, "X Y Z"] | None
-    range_m: Float32[Tensor, "h w"] | None
-    panorama: Equirectangular | None
-    pixel_labels: tuple[np.ndarray, ...] | None
-    figures: Mapping[str, float]
+    range_m: Float32[Tensor, "h w"] | None = None
+    panorama: Equirectangular | None = None
+    pixel_labels: tuple[np.ndarray, ...] | None = None
+    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +61,12 @@ class ShownFrame:
     time_s: float
     images: tuple[np.ndarray, ...]
     rig: Rig | None
-    world_from_ego: Float64[np.ndarray, "4 4"] | None
-    truth: Mapping[Grid, UInt8[Tensor, "X Y Z"]]
-    range_m: Float32[Tensor, "h w"] | None
-    panorama: Equirectangular | None
-    lidar: LidarScan | None
-    predictions: Mapping[str, FramePrediction]
+    world_from_ego: Float64[np.ndarray, "4 4"] | None = None
+    truth: Mapping[Grid, UInt8[Tensor, "X Y Z"]] = field(default_factory=dict)
+    range_m: Float32[Tensor, "h w"] | None = None
+    panorama: Equirectangular | None = None
+    lidar: LidarScan | None = None
+    predictions: Mapping[str, FramePrediction] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

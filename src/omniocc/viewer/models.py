@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,7 +12,6 @@ from torch import Tensor
 from omniocc.batch import Batch, Truth
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
-from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
 from omniocc.data.source.recorded import spec_of
@@ -21,64 +20,31 @@ from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model.occupancy import to_unit_range
 from omniocc.predict.input.images import resized_to_width
-from omniocc.predict.input.schedule import schedule
 from omniocc.predict.input.sequence import true_range_m
-from omniocc.predict.network import load_occupancy
-from omniocc.predict.options import choose_device
-from omniocc.predict.predictor import STEPS, Prediction, Predictor
-from omniocc.predict.stopwatch import Stopwatch
-from omniocc.predict.trained import TrainingData, facts_of, open_data
-from omniocc.run.checkpoint_io import BEST, LAST, no_checkpoint
-from omniocc.run.weights import find_checkpoint
+from omniocc.predict.predictor import Input, Prediction, Predictor
+from omniocc.predict.trained import Trained
 from omniocc.task.scores import Scores
 from omniocc.viewer.scenes import ChosenScenes
 
 PixelLabels = tuple[np.ndarray, ...] | None
 SAME_PIXELS = 0.25
 """Images whose number of pixels differs by less than this fraction from the training's are not scaled."""
-FIGURES = {
-    "rayiou": "rayiou",
-    "rayiou@1": "rayiou@1",
-    "rayiou@2": "rayiou@2",
-    "rayiou@4": "rayiou@4",
-    "lidar/rayiou": "lidar/rayiou",
-    "voxel/iou": "iou",
-    "voxel/miou": "miou",
-}
-"""Keys of `omniocc.task.scores.Scores` that are shown, and their names in a frame's figures."""
-
-
-def find_run(given: str) -> Path:
-    """Return the checkpoint of a run: a file, a run's folder (its best one, else its last), or shipped weights.
-
-    Raises:
-        FileNotFoundError: when there is none.
-    """
-    path = find_checkpoint(given)
-    if path.is_dir():
-        found = [path / name for name in (BEST, LAST) if (path / name).is_file()]
-        if not found:
-            raise FileNotFoundError(f"run={given}: the folder has neither {BEST} nor {LAST} (is it a run of train.py?)")
-        return found[0]
-    if not path.is_file():
-        raise FileNotFoundError(no_checkpoint(path))
-    return path
+FIGURES = ("rayiou", "rayiou@1", "rayiou@2", "rayiou@4", "lidar/rayiou", "voxel/iou", "voxel/miou")
+"""Keys of `omniocc.task.scores.Scores` that are shown of a frame, without `voxel/`."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedModel:
-    """A trained model with the data of its training.
+    """A trained model that is shown.
 
     Attributes:
         name: of the run, unique among those shown.
-        data: of its training, for its test scenes.
-        trained: facts of its training.
+        trained: the model with the data of its training.
         predictor: the model, which remembers past frames.
     """
 
     name: str
-    data: OccupancyData
-    trained: TrainingData
+    trained: Trained
     predictor: Predictor
 
     @property
@@ -94,24 +60,16 @@ class TrainedModel:
         Raises:
             UserError: when images and model do not fit together.
         """
-        predictor = self.predictor
-        poses = torch.from_numpy(scene.world_from_ego)
-        for lift in schedule(wanted, predictor.model.temporal.frames, "stream"):
-            if lift.reset:
-                predictor.reset()
-            images, rig = self._input(scene, lift.frame)
-            watch = Stopwatch(predictor.device, STEPS)
-            pose, true_m = poses[lift.frame], true_range_m(scene, lift.frame)
-            prediction = predictor.step_at_size(images, rig, pose, true_m, watch)
-            if lift.wanted:
-                yield prediction, self._pixel_labels(images, rig)
+        for _, given, prediction, _ in self.predictor.frames(wanted, "stream", partial(self._read, scene)):
+            yield prediction, self._pixel_labels(given.images, given.rig)
 
-    def _input(self, scene: SceneFrames, frame: int) -> tuple[Float32[Tensor, "1 N 3 H W"], Rig]:
-        """Return the images of a frame in [0, 1] and their rig, scaled unless about as large as in training."""
-        rig, (width, height) = scene.rigs[frame], self.trained.image_size
+    def _read(self, scene: SceneFrames, frame: int) -> Input:
+        """Return a frame, its images scaled unless they are about as large as in training."""
+        pose, true_m = torch.from_numpy(scene.world_from_ego[frame]), true_range_m(scene, frame)
+        rig, (width, height) = scene.rigs[frame], self.trained.facts.image_size
         if abs(rig.cameras[0].width * rig.cameras[0].height / (width * height) - 1) < SAME_PIXELS:
-            return to_unit_range(read_images(scene, frame)[None]), rig
-        return resized_to_width(scene.images(frame), rig, self.trained.width_for(rig))
+            return Input(to_unit_range(read_images(scene, frame)[None]), rig, pose, true_m)
+        return Input(*resized_to_width(scene.images(frame), rig, self.trained.facts.width_for(rig)), pose, true_m)
 
     @torch.inference_mode()
     def _pixel_labels(self, images: Float32[Tensor, "1 N 3 H W"], rig: Rig) -> PixelLabels:
@@ -139,26 +97,11 @@ def mask_labels(
     return np.where(mask.numpy()[np.ix_(rows, columns)], labels, UNKNOWN).astype(np.uint8)
 
 
-def load_models(runs: Sequence[str], names: Sequence[str], device: str | None) -> list[TrainedModel]:
-    """Return the models of runs.
-
-    Raises:
-        FileNotFoundError, UserError: naming the run that cannot be used.
-    """
-    models = []
-    for run, name in zip(runs, names, strict=True):
-        path = find_run(run)
-        model, cfg = load_occupancy(path)
-        data = open_data(path, cfg)
-        models.append(TrainedModel(name, data, facts_of(data, cfg), Predictor(model, None, (), choose_device(device))))
-    return models
-
-
 def check_classes(models: Sequence[TrainedModel], scenes: ChosenScenes) -> None:
     """Raise UserError if a model has other classes than the scenes."""
     names = scenes.spec.classes.names
     for model in models:
-        own = model.trained.classes.names
+        own = model.trained.facts.classes.names
         if own != names:
             raise UserError(
                 f"'{model.name}' was trained with {len(own)} classes ({', '.join(own)}), the {scenes.source} have "
@@ -176,4 +119,4 @@ def frame_figures(scores: Scores, labels: Tensor, truth: Batch | Truth) -> Mappi
     scores.reset()
     scores.update(labels[None], truth)
     found = scores.compute()
-    return {name: float(found[key]) for key, name in FIGURES.items() if key in found}
+    return {key.removeprefix("voxel/"): float(found[key]) for key in FIGURES if key in found}

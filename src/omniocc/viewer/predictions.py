@@ -115,10 +115,6 @@ def _frames(
                 images=tuple(images),
                 rig=rig_at_sizes(rig, images),
                 world_from_ego=voxels.world_from_ego,
-                truth={},
-                range_m=None,
-                panorama=None,
-                lidar=None,
                 predictions={model: _prediction(voxels, {})},
             )
 
@@ -142,4 +138,4 @@ def _recorded(
 
 
 def _prediction(voxels: Voxels, figures: Mapping[str, float]) -> FramePrediction:
-    return FramePrediction(voxels.labels, voxels.geometry, voxels.candidates, None, None, None, figures)
+    return FramePrediction(voxels.labels, voxels.geometry, voxels.candidates, figures=figures)

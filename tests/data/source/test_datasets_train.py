@@ -8,12 +8,13 @@ import torch
 from dataset_files import write_carlasc, write_woodscape
 from kitti_files import write_kitti360, write_semantic_kitti, write_sscbench
 from lightning.pytorch import Trainer, seed_everything
+from made_scenes import write_checkpoint
 from nuscenes_files import write_nuscenes
 
-from omniocc.config import build, check_root, plain
+from omniocc.config import build, check_root
 from omniocc.errors import UserError
 from omniocc.predict.submission import predict_submission
-from omniocc.run.checkpoint import CONFIG, STAGE, load_checkpoint
+from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST
 from omniocc.task.build import build_task, switch_off_head
 from omniocc.task.stages import Stages
@@ -222,9 +223,7 @@ def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, t
 
 def test_files_of_one_folder_are_of_one_checkpoint_split_and_dataset(smoke, occ3d, tmp_path):
     cfg = smoke("model/sketch=dense", *occ3d)
-    task = build_task(cfg, build(cfg.data).source.spec)
-    path, output = tmp_path / "best.ckpt", tmp_path / "out"
-    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)
+    path, output = write_checkpoint(tmp_path / "best.ckpt", cfg, build(cfg.data).spec), tmp_path / "out"
 
     def predict(split: str = "test", force: bool = False, changes: Sequence[str] = ()) -> None:
         predict_submission(str(path), output, split, changes, "cpu", force)

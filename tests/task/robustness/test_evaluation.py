@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from recorded_scene import write_scene
+from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.config import build, plain
 from omniocc.data import collate
@@ -16,9 +16,9 @@ from omniocc.data.dataset import WindowDataset
 from omniocc.data.disturb.scene import disturbed
 from omniocc.errors import UserError
 from omniocc.model.occupancy import to_unit_range
-from omniocc.run.checkpoint import CONFIG, STAGE
+from omniocc.predict import load
 from omniocc.run.robustness import UNDISTURBED, drop_of
-from omniocc.task.build import build_task, load_task
+from omniocc.task.build import build_task
 from omniocc.task.robustness import evaluation
 from omniocc.task.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
 from omniocc.task.robustness.parts import parts_of
@@ -34,21 +34,15 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
     """Return a checkpoint whose test scenes are two recorded ones."""
     folder = tmp_path_factory.mktemp("robust")
     for number in range(2):
-        write_scene(folder / "data" / f"test-{number:03d}-nowhere", spec, FRAMES, first=10 * number)
+        write_scene(folder / "data" / f"test-{number:03d}-nowhere", spec, 10 * number, FRAMES, RIG)
     splits = "data.source.splits={train:[],val:[],test:[test-*]}"
     cfg = smoke("data=recorded", f"data.source.root={folder / 'data'}", splits, "data.source.workers=0")
-    torch.manual_seed(3)
-    task = build_task(cfg, spec)
-    torch.nn.init.normal_(task.model.classifier.linear.weight)
-    path = folder / "runs" / "some-12345678" / "best.ckpt"
-    path.parent.mkdir(parents=True)
-    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)
-    return path
+    return write_checkpoint(folder / "runs" / "some-12345678" / "best.ckpt", cfg, spec)
 
 
 def run(checkpoint, folder, *wanted, scenes=8, seed=0):
-    task, data = load_task(checkpoint, [])
-    return robustness_of(task, data, checkpoint, wanted, scenes, seed, folder)
+    trained = load(checkpoint)
+    return robustness_of(trained.task, trained.data, trained.checkpoint, wanted, scenes, seed, folder)
 
 
 @pytest.fixture(scope="module")
@@ -81,12 +75,12 @@ def test_every_part_has_scores_over_all_scenes_and_all_but_each(tested):
 def test_scores_are_those_of_the_model_on_the_disturbed_frames(checkpoint, tested):
     """Everything is computed anew here, frame by frame, without the stream and without the module under test."""
     record, _ = tested
-    task, data = load_task(checkpoint, [])
+    trained = load(checkpoint)
+    task, data = trained.task, trained.data
     data.prepare_data()
     part = next(part for part in parts_of(data.source.scenes("test")[0].rig.names, ()) if part.name == "view_90_deg")
     scenes = [disturbed(scene, part.disturbance, part.name, 0) for scene in data.source.scenes("test")]
     windows, scores = WindowDataset(scenes, data.voxels, data.window), Scores(task.model.geometry, data.source.spec)
-    task.eval()
     with torch.no_grad():
         for k in range(len(windows)):
             batch = collate([windows[k]])

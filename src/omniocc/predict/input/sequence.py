@@ -22,9 +22,6 @@ from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.predict.input.images import Frame, check_excluded, read_frame
 
-UNMOVED_M = 0.0005
-"""Distance that an origin may move without a word."""
-
 
 @dataclass(frozen=True)
 class ImageSequence:
@@ -163,34 +160,6 @@ def with_road(rig: Rig, road_z_m: float | None) -> Rig:
         return rig if road_z_m is None else replace(rig, road_z_m=road_z_m)
     except ValueError as error:
         raise UserError(str(error)) from error
-
-
-def origin_above_rig(road_z_m: float | None, trained_z_m: float | None) -> float:
-    """Return how far above the origin of a rig the ego origin lies, m, from which the road is seen as in training.
-
-    Args:
-        road_z_m: height of the road in the frame of the rig, m; None: not known, so that the origin stays.
-        trained_z_m: the same in the training; None: it differed from rig to rig there, so that the origin stays.
-    """
-    return 0.0 if road_z_m is None or trained_z_m is None else road_z_m - trained_z_m
-
-
-def origin_line(road_z_m: float | None, trained_z_m: float | None) -> str:
-    """Return in words what `origin_above_rig` does and what to do if that is wrong; empty if the road lies as there."""
-    if trained_z_m is None:
-        return "at another height for every rig of the training: the grid stays around the origin of the rig"
-    if road_z_m is None:
-        return (
-            f"its height is not known (road_z_m): taken for {trained_z_m:g} m, as in training; "
-            "state it in the rig file, or as road_z_m=..."
-        )
-    height_m = origin_above_rig(road_z_m, trained_z_m)
-    if abs(height_m) < UNMOVED_M:
-        return ""
-    return (
-        f"{-road_z_m:g} m below the origin of the rig (its road_z_m), {-trained_z_m:g} m in the training: the grid "
-        f"lies {abs(height_m):.3g} m {'higher' if height_m > 0 else 'lower'}; if that is wrong, correct road_z_m"
-    )
 
 
 def raise_rig(rig: Rig, height_m: float) -> Rig:

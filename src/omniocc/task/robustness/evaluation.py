@@ -13,7 +13,6 @@ import torch
 from omegaconf import OmegaConf
 from torch.utils.data import DataLoader
 
-from omniocc.batch import to_device
 from omniocc.config import build, plain
 from omniocc.data import Needs, OccupancyData, SceneSource, VirtualWorld, WindowDataset, collate
 from omniocc.data.disturb.scene import disturbed
@@ -23,11 +22,11 @@ from omniocc.data.store.files import is_url
 from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
 from omniocc.progress import Progress
-from omniocc.run.checkpoint import load_checkpoint
+from omniocc.run.checkpoint import Checkpoint
 from omniocc.run.folder import command_line, git_commit, short_hash
 from omniocc.run.robustness import WITHIN, PartScores, Robustness, load_part, save_part
 from omniocc.run.weights import SHIPPED, digest_of
-from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.occupancy import OccupancyTask, predictions
 from omniocc.task.robustness.parts import NO_UNSEEN, VERSION, Part, chosen, parts_of
 from omniocc.task.scores import Scores
 
@@ -38,14 +37,15 @@ DIGITS = 6
 
 
 def robustness_of(
-    task: OccupancyTask, data: OccupancyData, path: Path, wanted: Sequence[str], scenes: int, seed: int, folder: Path
-) -> Robustness:
+    task: OccupancyTask, data: OccupancyData, checkpoint: Checkpoint, wanted: Sequence[str], scenes: int, seed: int,
+    folder: Path,
+) -> Robustness:  # fmt: skip
     """Return the scores of the trained task in a checkpoint under disturbances; finished parts are in `folder`.
 
     Args:
         task: with the checkpoint's weights.
-        data: of its configuration.
-        path: of the checkpoint.
+        data: of its configuration, which may be changed.
+        checkpoint: with the configuration of the training.
         wanted: `all`, or names of parts or of kinds of disturbances.
         scenes: number of test scenes, 1 or more.
         seed: of all random draws, 0 or more.
@@ -59,7 +59,7 @@ def robustness_of(
         raise UserError(f"scenes={scenes} and seed={seed}: give at least one scene, and a seed that is not negative")
     check_depth(task)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    test = RobustnessTest(task, data, trained_on(path), scenes, seed, device)
+    test = RobustnessTest(task, data, plain(checkpoint.config)["data"]["source"], scenes, seed, device)
     every = test.parts()
     parts, left_out = chosen(wanted, every), []
     if lost := test.lost([part for part in parts if part.source]):
@@ -72,14 +72,9 @@ def robustness_of(
         print(f"left out: {line}", flush=True)
     scored = test.run(parts, every, folder)
     setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed])
-    facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device), "checkpoint": path.name}
-    facts |= {"seed": seed, "setting": setting, "left out": left_out}
-    return Robustness(system_of(path), facts, scored)
-
-
-def trained_on(checkpoint: Path) -> Mapping[str, Any]:
-    """Return the options of the source on which a checkpoint was trained, whatever is overridden now."""
-    return plain(load_checkpoint(checkpoint).config)["data"]["source"]
+    facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device)}
+    facts |= {"checkpoint": checkpoint.path.name, "seed": seed, "setting": setting, "left out": left_out}
+    return Robustness(system_of(checkpoint.path), facts, scored)
 
 
 def system_of(checkpoint: Path) -> str:
@@ -211,7 +206,7 @@ class RobustnessTest:
 
         `advance` is called after every frame.
         """
-        task, started = self.task.to(self.device).eval(), time.monotonic()
+        started = time.monotonic()
         recorded = self._scenes(source)
         scenes = [disturbed(scene, part.disturbance, part.name, self.seed) for scene in recorded]
         data, spec = self.data, self.data.spec
@@ -219,13 +214,10 @@ class RobustnessTest:
         needs = Needs(pixel_labels=False)
         windows = WindowDataset(scenes, labels, data.window, needs, spec.lidar_directions is None)
         loader = DataLoader(windows, 1, collate_fn=collate, **worker_options(data.num_workers))
-        by_scene = {scene.name: Scores(task.model.geometry, spec).to(self.device) for scene in recorded}
-        task.stream.reset()
-        for batch in loader:
-            batch = to_device(batch, self.device)
-            by_scene[batch.frame_ids[0].rsplit("/", 1)[0]].update(task.evaluate(batch), batch)
+        by_scene = {scene.name: Scores(self.task.model.geometry, spec).to(self.device) for scene in recorded}
+        for batch, labels in predictions(self.task, loader, self.device):
+            by_scene[batch.frame_ids[0].rsplit("/", 1)[0]].update(labels, batch)
             advance()
-        task.stream.reset()
         scores, without = with_each_left_out(list(by_scene.values()))
         seconds = round(time.monotonic() - started, 1)
         return PartScores(part.name, part.group, list(by_scene), len(windows), seconds, scores, without)

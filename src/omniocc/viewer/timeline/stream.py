@@ -65,14 +65,8 @@ class VoxelStream:
             rig=rig_at_sizes(sequence.rig, images),
             world_from_ego=None if poses is None else poses[frame].numpy(),
             truth={} if truth is None else {grid: truth.voxels[0]},
-            range_m=None,
-            panorama=None,
             lidar=sequence.scene.lidar(frame) if recorded else None,
-            predictions={
-                MODEL: FramePrediction(
-                    prediction.labels, grid, prediction.candidates, prediction.range_m, ranges, None, figures
-                )
-            },
+            predictions={MODEL: FramePrediction(prediction.labels, grid, *prediction[1:], ranges, figures=figures)},
         )
         self.timeline.add(shown)
 
@@ -92,17 +86,6 @@ class RangeStream:
         panorama: Equirectangular,
     ) -> None:
         """Log one frame."""
-        shown = ShownFrame(
-            scene="",
-            frame=frame.name,
-            time_s=self.timeline.count * OWN_INTERVAL_S,
-            images=tuple(images),
-            rig=rig_at_sizes(rig, images),
-            world_from_ego=None,
-            truth={},
-            range_m=None,
-            panorama=None,
-            lidar=None,
-            predictions={},
-        )
+        time_s, at_sizes = self.timeline.count * OWN_INTERVAL_S, rig_at_sizes(rig, images)
+        shown = ShownFrame("", frame.name, time_s, tuple(images), at_sizes)
         self.timeline.add(shown, {MODEL: (range_m, panorama)})

@@ -1,0 +1,218 @@
+"""Score checkpoints or the predictions of others again: what `src/evaluate.py` does with its words."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from lightning.pytorch import Trainer
+from omegaconf import OmegaConf
+
+from omniocc.config import build, compose_config
+from omniocc.data import OccupancyData
+from omniocc.data.origins import Origins
+from omniocc.errors import UserError, installing
+from omniocc.io import atomic_write
+from omniocc.model.protocols import takes_true_range
+from omniocc.predict.trained import Trained, load
+from omniocc.report.tables.formats import parts_text
+from omniocc.report.tables.robustness import report_parts, robustness_csv
+from omniocc.run.folder import IMAGES, git_commit
+from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
+from omniocc.run.robustness import FOLDER, Robustness, save_robustness
+from omniocc.run.table import in_columns
+from omniocc.run.trust import CONF
+from omniocc.run.wandb import Loggers
+from omniocc.run.wandb.robustness import log_robustness
+from omniocc.run.weights import SHIPPED, find_checkpoint
+from omniocc.task import StepProgress
+from omniocc.task.audit import audit
+from omniocc.task.images import OccupancyImages
+from omniocc.task.robustness.evaluation import robustness_of, system_of
+from omniocc.task.scene_counts import save_by_scene
+from omniocc.task.submission import score_files
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is scored, and how; see `python src/evaluate.py --help`.
+
+    Attributes:
+        checkpoints: files, those of shipped names included.
+        overrides: of the configuration of the checkpoints.
+        predictions: folder of files to be scored; None: checkpoints are tested.
+        robustness: `all`, or names of parts; None: no robustness test.
+    """
+
+    checkpoints: Sequence[Path]
+    overrides: Sequence[str]
+    predictions: Path | None
+    robustness: Sequence[str] | None
+    output: Path | None = None
+    origins: Origins = "own"
+    images: int = 4
+    audit: bool = False
+    scenes: int = 8
+    seed: int = 0
+
+    @classmethod
+    def of(cls, words: Sequence[str], **options: Any) -> "Evaluation":
+        """Return the words of the command line by their meaning; what is a file or has no `=` is a checkpoint."""
+        files = [word for word in words if "=" not in word or Path(word).is_file()]
+        settings = {key: value for key, _, value in (word.partition("=") for word in words if word not in files)}
+        predictions, robustness = settings.pop("predictions", None), settings.pop("robustness", None)
+        return cls(
+            [find_checkpoint(file) for file in files],
+            [f"{key}={value}" for key, value in settings.items()],
+            None if predictions is None else Path(predictions),
+            None if robustness is None else robustness.strip("[]").replace(" ", "").split(","),
+            **options,
+        )
+
+    @property
+    def conflict(self) -> str | None:
+        """Return why the words do not go together, None if they do."""
+        if self.predictions is not None and (self.checkpoints or self.robustness is not None or self.audit):
+            return "predictions=... scores files alone: leave checkpoints, robustness=... and --audit out"
+        if self.robustness is not None and (self.audit or self.origins != "own"):
+            return "robustness=... is a test of its own: leave --audit and --origins out"
+        return None
+
+    @property
+    def suffix(self) -> str:
+        """Return the end of a default folder of results, so that those from other origins stand beside the others."""
+        return "" if self.origins == "own" else f"-{self.origins}"
+
+    def run(self) -> None:
+        """Score what is asked for; a checkpoint that cannot be scored is told after the others are.
+
+        Raises:
+            UserError, DataError: naming what cannot be scored.
+        """
+        if self.predictions is not None:
+            return score_predictions(self)
+        if not self.checkpoints:
+            raise UserError("name a checkpoint, a shipped file of weights, or predictions=folder")
+        if self.robustness is not None:
+            return score_robustness(self)
+        return each(self.checkpoints, self._score)
+
+    def _score(self, checkpoint: Path) -> None:
+        several = len(self.checkpoints) > 1
+        if several:
+            print(f"\nsystem    {system_of(checkpoint)}", flush=True)
+        trained = opened(checkpoint, self.overrides)
+        if takes_true_range(trained.occupancy.sketch):
+            raise UserError(
+                f"{checkpoint} takes recorded ranges (model/depth=truth), which only train.py hands to it: its test is "
+                "in table.md of its folder"
+            )
+        if self.audit:
+            for name, value in audit(trained.task, trained.data):
+                print(f"{name:58} {value}")
+        else:
+            folder = folder_of(checkpoint, f"{EVALUATION}{checkpoint.stem}{self.suffix}", self.output, several)
+            test_again(trained, folder, self)
+
+
+def opened(checkpoint: Path, overrides: Sequence[str]) -> Trained:
+    """Return a checkpoint with overrides, of which `packages=[...]` allows classes of other packages."""
+    packages = [word for word in overrides if word.startswith("packages=")]
+    changes = [word for word in overrides if word not in packages]
+    return load(checkpoint, changes, OmegaConf.from_dotlist(packages).get("packages", ()))
+
+
+def each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> None:
+    """Score one checkpoint after the other; raise UserError with all different messages at the end."""
+    refused = []
+    for checkpoint in checkpoints:
+        try:
+            score(checkpoint)
+        except (UserError, OSError) as error:  # the others come first
+            refused.append(str(error))
+    if refused:
+        raise UserError("\n".join(dict.fromkeys(refused)))
+
+
+def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
+    """Score a checkpoint on the test scenes; write figures, table and images."""
+    task, data = trained.task, trained.data
+    data.cast_from(options.origins)
+    folder.mkdir(parents=True, exist_ok=True)
+    images = OccupancyImages(folder / IMAGES, options.images, data.spec.classes)
+    trainer = Trainer(
+        callbacks=[StepProgress("occupancy"), images],
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        devices=1,
+    )
+    metrics = trainer.test(task, datamodule=data, verbose=False)[0]
+    facts = {"checkpoint": str(trained.path), "commit": git_commit(), "data": data.source.fingerprint}
+    facts |= {OVERRIDES: list(options.overrides), PROTOCOL: task.protocol}
+    save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
+    save_results(folder, metrics, facts)
+    show_results(folder)
+
+
+def score_robustness(options: Evaluation) -> None:
+    """Score checkpoints under disturbances; write and log the results, print the comparison."""
+    logging = [word for word in options.overrides if word.startswith("logger.")]
+    others = [word for word in options.overrides if word not in logging]
+    logger: Loggers = build(compose_config(CONF, "train", logging).logger)
+    records: list[Robustness] = []
+
+    def score(checkpoint: Path) -> None:
+        folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
+        one, wanted = opened(checkpoint, others), options.robustness or ()
+        record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder)
+        save_robustness(folder, record)
+        atomic_write(folder / "table.md", parts_text(report_parts([record])))
+        atomic_write(folder / "table.csv", robustness_csv([record], {}))
+        log_robustness(logger.build(folder, one.task.config, "robustness"), record, draw([record], folder))
+        records.append(record)
+        print(f"table     {folder / 'table.md'}", flush=True)
+
+    try:
+        each(options.checkpoints, score)
+    finally:
+        if records:
+            tables = [f"{in_columns(*part.cells)}\n\n{part.note}" for part in report_parts(records)]
+            print("\n\n".join(["", *tables, "all systems: python src/report.py"]))
+
+
+def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
+    """Write the plot of a test, and return it as an RGB image; None without matplotlib."""
+    if find_spec("matplotlib") is None:
+        print(f"No plot: matplotlib is missing: {installing('plot')}")
+        return None
+    from omniocc.report.plots.robustness import drops
+    from omniocc.report.plots.svg import as_png
+
+    path = folder / "robustness.png"
+    atomic_write(path, png := as_png(drops(records)))
+    return cv2.cvtColor(np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
+
+
+def folder_of(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:
+    """Return the folder of results: `name` beside the checkpoint, or in `output`, where systems may have their own."""
+    if output is not None:
+        return output / system_of(checkpoint) / name if by_system else output
+    return (Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent) / name
+
+
+def score_predictions(options: Evaluation) -> None:
+    """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
+    folder = options.predictions
+    assert folder is not None
+    data: OccupancyData = build(compose_config(CONF, "train", options.overrides).data)
+    source = data.source
+    source.prepare()
+    metrics, protocol = score_files(source, folder, origins=options.origins)
+    output = options.output or folder.with_name(f"{folder.name}-scores{options.suffix}")
+    facts = {"predictions": str(folder), "commit": git_commit(), "data": source.fingerprint, PROTOCOL: protocol}
+    save_results(output, metrics, facts)
+    show_results(output)
