@@ -3,10 +3,12 @@ from pathlib import Path
 
 import pytest
 
+from omniocc.config import plain
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, write_checkpoint
 from omniocc.run.distributed import is_first
 from omniocc.run.folder import METRICS, command_line, command_of, open_run, run_hash
+from omniocc.task.stage_keys import stage_keys
 
 
 def test_the_hash_depends_only_on_what_decides_the_result():
@@ -39,20 +41,37 @@ def test_the_file_of_weights_that_a_run_starts_from_is_part_of_its_hash(tmp_path
         run_hash({**config, "weights": "gone.ckpt"}, "data")
 
 
-def test_factors_of_the_learning_rate_are_part_of_the_hash_where_they_are_given():
-    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {}}
-    assert run_hash(config, "data") == run_hash({**config, "rate_factors": None}, "data")
-    assert run_hash(config, "data") != run_hash({**config, "rate_factors": {"backbone": 0.1}}, "data")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "paths.data=elsewhere",
+        "data.num_workers=3",
+        "data.source.workers=1",
+        "data.source.cache=beside",
+        "trainer.accelerator=cpu",
+        "trainer.log_every_n_steps=1",
+        "logger.mode=disabled",
+        "test_images=0",
+    ],
+)
+def test_where_data_lie_and_what_a_machine_reads_and_tells_decides_nothing(words, smoke):
+    """A finished run is found again when its data have moved, and depth and sketch are not trained again."""
+    first, other = plain(smoke()), smoke(words)
+    assert run_hash(first, "data") == run_hash(plain(other), "data")
+    assert stage_keys(smoke(), "data") == stage_keys(other, "data")
 
 
-def test_the_bands_of_the_scores_are_part_of_the_hash_where_they_are_given():
-    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {"window": 2}}
-    none, *given = [
-        run_hash({**config, "data": {"window": 2, "range_edges_m": edges}}, "data")
-        for edges in (None, [0, 20], [0, 20, 40])
-    ]
-    assert none == run_hash(config, "data"), "runs from before there was this key keep their folders"
-    assert len({none, *given}) == 3
+def test_the_times_of_validation_decide_the_best_checkpoint_and_no_earlier_stage(smoke):
+    first, other = smoke(), smoke("+trainer.val_check_interval=2")
+    assert run_hash(plain(first), "data") != run_hash(plain(other), "data")
+    assert stage_keys(first, "data") == stage_keys(other, "data")
+
+
+@pytest.mark.parametrize(
+    "words", ["seed=1", "trainer.precision=bf16-mixed", "data.batch_size=1", "data.range_edges_m=[0,9]"]
+)
+def test_what_changes_a_result_decides(words, smoke):
+    assert run_hash(plain(smoke()), "data") != run_hash(plain(smoke(words)), "data")
 
 
 def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):

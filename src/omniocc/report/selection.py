@@ -8,7 +8,7 @@ from typing import Any
 from omniocc.config import dotted
 from omniocc.errors import UserError
 from omniocc.report.runs import GRID, FinishedRun, grid_kind
-from omniocc.run.folder import METRICS, VOLATILE, is_clean
+from omniocc.run.folder import METRICS, OF_MACHINES, VOLATILE, is_clean
 from omniocc.run.results import FINISHED, PROTOCOL, says_the_same, utc_text
 from omniocc.run.table import SCORES
 
@@ -17,7 +17,7 @@ REASONS = ("runs of other names", "runs of changed code", "older runs")
 """Runs that do not count beside another one, in the order in which `preference` decides."""
 Place = tuple[tuple[str, Any], tuple[str, ...]]
 """Row and seed, and setting, of a run."""
-OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
+BESIDE_ROW = (*OF_MACHINES, "seed")
 """Keys at any depth that may differ between runs of one row."""
 
 
@@ -166,7 +166,7 @@ def differences(runs: Sequence[FinishedRun]) -> str:
 def compared(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration without name, seed, machine and `VOLATILE`, by dotted key; equal for runs of one row."""
     values = dotted({key: value for key, value in config.items() if key not in ("name", *VOLATILE)})
-    return {key: value for key, value in values.items() if not set(key.split(".")) & set(OF_MACHINES)}
+    return {key: value for key, value in values.items() if not set(key.split(".")) & set(BESIDE_ROW)}
 
 
 def given(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -40,6 +40,8 @@ VOLATILE = (
     "preset",
 )
 """Root keys that do not change what a run computes; numbers of a preset do where a part refers to them."""
+OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "log_every_n_steps", "enable_model_summary")
+"""Keys at any depth that do not change what a run computes: where data lie, and how a machine reads and tells them."""
 DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
 """Environment variables by which the same command composes another configuration."""
 CHANGED, NO_COMMIT = "+", "unknown"
@@ -71,11 +73,15 @@ class RunFolder:
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
     unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
-    unused += () if config.get("rate_factors") else ("rate_factors",)
-    kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
-    if config["data"].get("range_edges_m") is None:
-        kept["data"] = {key: value for key, value in config["data"].items() if key != "range_edges_m"}
+    kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
     return short_hash([with_digest("weights", kept), data_fingerprint, *own_code(kept)])
+
+
+def without_machine(tree: Any) -> Any:
+    """Return plain data without the keys `OF_MACHINES`."""
+    if isinstance(tree, dict):
+        return {key: without_machine(value) for key, value in tree.items() if key not in OF_MACHINES}
+    return [without_machine(value) for value in tree] if isinstance(tree, list) else tree
 
 
 def with_digest(key: str, config: Mapping[str, Any]) -> dict[str, Any]:

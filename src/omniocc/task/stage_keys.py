@@ -8,14 +8,14 @@ from omegaconf import DictConfig
 from omniocc.config import own_code, plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
-from omniocc.run.folder import short_hash, with_digest
+from omniocc.run.folder import OF_MACHINES, short_hash, with_digest
 from omniocc.run.slots import sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
 """Versions in the hashes: increase one when the same configuration gives other results."""
 
-OVERRULED = ("max_steps", "max_epochs", "check_val_every_n_epoch", "strategy", "accelerator")
+OVERRULED = ("max_steps", "max_epochs", "check_val_every_n_epoch", "val_check_interval", "strategy", *OF_MACHINES)
 """Trainer options that a stage sets itself, or that do not change its results."""
 
 

@@ -180,6 +180,7 @@ class Stages:
             max_steps=recipe.max_steps,
             max_epochs=recipe.max_epochs,
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
+            val_check_interval=None,
             plugins=[AtomicCheckpointIO()],
             callbacks=[
                 StepProgress(title),
