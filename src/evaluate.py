@@ -27,7 +27,6 @@ from omniocc.data import Needs, OccupancyData
 from omniocc.data.origins import ORIGINS, Origins
 from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns, takes_true_range
 from omniocc.progress import Progress
 from omniocc.report.tables.robustness import robustness_markdown, robustness_text
@@ -261,7 +260,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:
             logits = task.predict(batch).logits
-            images = to_unit_range(batch.images[:, -1])
+            images = batch.images[:, -1]
             sketched = task.model.choose(images, batch.newest_rigs)
             found.update(logits, sketched, batch)
             if batch.erp_range_m is not None and learns(type(task.model.sketch)):

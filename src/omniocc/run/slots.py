@@ -1,15 +1,21 @@
 """The option in each slot of a model, and whether there are stages before occupancy."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from omniocc.config import target_of
-from omniocc.model.protocols import learns
+from omniocc.model.protocols import Hints, learns
 
 
 def sketch_learns(config: Mapping[Any, Any]) -> bool:
     """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy."""
     return learns(target_of(config["model"]["sketch"]))
+
+
+def uses_evidence(config: Mapping[Any, Any]) -> bool:
+    """Return whether the hints hand the sketch's evidence on, which its stage then stores."""
+    hints = config["model"]["hints"]
+    return any(hints[name] for name in cast(type[Hints], target_of(hints)).EVIDENCE)
 
 
 def option_of(node: Mapping[Any, Any]) -> str:

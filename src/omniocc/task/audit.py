@@ -48,8 +48,8 @@ class Audit(nn.Module):
         self.true_geometry.update(with_true_geometry(logits, truth), batch)
         self.true_classes.update(with_true_classes(labels, truth), batch)
         self.overlap.update(labels != FREE, truth)
-        if sketched.evidence is not None:
-            probability = sketched.evidence[:, LOG_ODDS].sigmoid()
+        if sketched.bits is not None:
+            probability = sketched.evidence()[:, LOG_ODDS].sigmoid()
             for cut, overlap in zip(THRESHOLDS, self.sketch_overlaps, strict=True):
                 overlap.update(probability >= cut, truth)
         top = logits.float().softmax(1).amax(1)

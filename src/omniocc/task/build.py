@@ -55,10 +55,12 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
     """
     if not scenes or cfg.model.semantic_head._target_ == NO_HEAD or scenes[0].pixel_labels(0) is not None:
         return None
+    off = "model/semantic_head=none"
     with open_dict(cfg):
         cfg.model.semantic_head = {"_target_": NO_HEAD}
-        cfg.model.pixel_classes = False
-    off = "model/semantic_head=none model.pixel_classes=false"
+        if cfg.model.hints.get("pixel_classes"):
+            cfg.model.hints.pixel_classes = False
+            off += " model.hints.pixel_classes=false"
     return f"the training frames have no classes of pixels, so the 2D head is left out: {off}"
 
 
@@ -79,8 +81,14 @@ def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
     Raises:
         UserError: when parts do not fit together.
     """
-    if cfg.model.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
-        raise UserError("model.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
+    hints, lifter = cfg.model.hints, cfg.model.lifter
+    if hints.get("pixel_classes") and cfg.model.semantic_head._target_ == NO_HEAD:
+        raise UserError("model.hints.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
+    if bool(hints.get("queries")) != bool(lifter.get("evidence")):
+        raise UserError(
+            f"model.hints.queries={hints.get('queries')}, but model.lifter.evidence={lifter.get('evidence')}: "
+            "set the former alone, to false for a lifter that has no such key"
+        )
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
     config = plain(cfg)
     factors = config.get("rate_factors") or {}  # checkpoints of older versions have none

@@ -244,7 +244,8 @@ def test_fraction_takes_the_likeliest_of_each_sample():
 def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
     sketch = make(geometry)
     range_m, valid = scene()
-    candidates, evidence, _ = sketch.hand_on(range_m, valid)
+    sketched = sketch.hand_on(range_m, valid)
+    candidates, evidence = sketched.candidates, sketched.evidence()
     logits = sketch.logits(range_m, valid)
     assert torch.equal(candidates, sketch.select(logits))
     expected = (logits[:, 1] - logits[:, 0]).clamp(-6.3, 6.3)
