@@ -161,8 +161,9 @@ class OccupancyModel(nn.Module):
         # temporal fusion -> refiner -> classifier
         volumes = [*past, newest.volume]
         logits, extras = self.fuse(volumes, window.world_from_ego, window.exists, newest.sketched, known)
-        guesses = with_ranges and isinstance(self.lifter, GuessesRanges)
-        ranges = self.lifter.range_logits(newest.features) if guesses else None
+        ranges = None
+        if with_ranges and isinstance(self.lifter, GuessesRanges):
+            ranges = self.lifter.range_logits(newest.features)
         coarse_logits = newest.extras.coarse_logits + extras.coarse_logits
         return Prediction(logits, pixel_logits, ranges, coarse_logits, extras.run_lengths)
 

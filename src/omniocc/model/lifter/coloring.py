@@ -74,7 +74,8 @@ class Coloring(nn.Module):
             raise ValueError(f"{points} points cannot be split among {len(anchors)} anchors; give a multiple")
         if any(len(anchor) != 3 or max(map(abs, anchor)) > 0.5 for anchor in anchors):
             raise ValueError(f"anchors are {list(anchors)}; each must be three numbers from -0.5 to 0.5")
-        self.geometry, self.lens = geometry, lens
+        self.geometry = geometry
+        self.lens: Lens = lens
         self.channels = channels
         self.strides = list(levels)
         self.points = points

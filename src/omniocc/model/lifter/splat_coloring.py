@@ -57,7 +57,8 @@ class SplatColoring(nn.Module):
         lens: Lens = "own",
     ):
         super().__init__()
-        self.channels, self.block, self.lens = channels, as_block(block), lens
+        self.channels, self.block = channels, as_block(block)
+        self.lens: Lens = lens
         grid = coarsened(geometry, self.block)
         self.splat = LiftSplat(geometry, in_channels, channels, levels, bins, range_m)
         self.query = Pointwise(channels, in_channels)
