@@ -9,7 +9,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
-from omniocc.model.hints import Hints, NoHints, SketchAndPixels
+from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
     BiGrid,
     CoarseColoring,
@@ -67,7 +67,6 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
             Experts(geometry, 8, [8, 8], 2, 12),
         ],
         SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],
-        Hints: [NoHints(), SketchAndPixels(geometry, 4, 8, 12, True, True, True, True)],
     }
     for slot, modules in options.items():
         arguments = list(slot.__call__.__annotations__)
@@ -214,7 +213,7 @@ def test_no_semantic_head_predicts_no_pixels(make_backbone, geometry, images, po
         NoTemporal(),
         NoRefiner(8) if refiner == "none" else UNet(geometry, 8, [8, 8]),
         NoSemanticHead(),
-        NoHints(),
+        SketchAndPixels(geometry, 4, 8, 3),
         num_classes=3,
     )
     prediction = model(images, every_frame((fisheye, fisheye)), poses)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
+from omniocc.model.hints import Known, SketchAndPixels
 from omniocc.model.ops.classifier import Classifier
 from omniocc.model.ops.padded import FeatureMaps, Images, by_shape, to_unit_range
 from omniocc.model.protocols import (
@@ -16,8 +17,6 @@ from omniocc.model.protocols import (
     CoarseLogits,
     Extras,
     GuessesRanges,
-    Hints,
-    Known,
     Lifter,
     Refiner,
     SemanticHead,
@@ -99,7 +98,7 @@ class OccupancyModel(nn.Module):
     Samples may have different numbers of cameras and sizes of image, padded as in `omniocc.model.ops.padded`.
 
     Args:
-        hints: what goes beyond the paper; `NoHints` is the paper's model.
+        hints: what goes beyond the paper; with all its switches off this is the paper's model.
         num_classes: of voxels, free included.
     """
 
@@ -112,7 +111,7 @@ class OccupancyModel(nn.Module):
         temporal: Temporal,
         refiner: Refiner,
         semantic_head: SemanticHead,
-        hints: Hints,
+        hints: SketchAndPixels,
         num_classes: int,
     ):
         super().__init__()
@@ -203,7 +202,7 @@ class OccupancyModel(nn.Module):
         self, lifted: Lifted, rigs: tuple[Rig, ...], pixel_logits: Float[Tensor, "B N K h w"] | None = None
     ) -> Known:
         """Return the hints on the voxels of single frames; the 2D head is run if they use its logits and have none."""
-        if pixel_logits is None and self.hints.pixel_classes:
+        if pixel_logits is None and self.hints.classes is not None:
             pixel_logits = self.semantic_head(lifted.features)
         return self.hints(lifted.sketched, rigs, pixel_logits)
 

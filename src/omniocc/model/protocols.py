@@ -43,30 +43,19 @@ class Sketched(NamedTuple):
         return unpack_evidence(self.bits)
 
 
-class Known(NamedTuple):
-    """What the hints hand on about the voxels of single frames.
-
-    Attributes:
-        evidence: of the sketch, of every voxel; None if it is not used.
-        classes: logits of the 2D head at the candidates, 0 elsewhere; None if they are not used.
-    """
-
-    evidence: Float[Tensor, "B 4 X Y Z"] | None = None
-    classes: Float[Tensor, "B K X Y Z"] | None = None
-
-
-Fields = TypeVar("Fields", Sketched, Known)
+Fields = TypeVar("Fields", bound=tuple)
+"""Of tensors that have the samples along their first axis; some may be None."""
 
 
 def part_of(fields: Fields, *index: Any) -> Fields:
     """Return the part of every field at an index of the leading axes."""
-    return type(fields)(*(None if field is None else field[index] for field in fields))  # type: ignore[arg-type]
+    return type(fields)(*(None if field is None else field[index] for field in fields))
 
 
 def joined(parts: Sequence[Fields]) -> Fields:
     """Return one batch of several, which have the same fields."""
     columns = zip(*parts, strict=True)
-    return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore
+    return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))
 
 
 class CoarseLogits(NamedTuple):
@@ -307,37 +296,6 @@ class SemanticHead(Protocol):
 
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
-        ...
-
-
-@runtime_checkable
-class Hints(Protocol):
-    """Hand what the sketch and the 2D head know of the voxels on to later slots.
-
-    Attributes:
-        EVIDENCE: arguments that use the sketch's evidence if they are true; without any the sketch stage stores none.
-        pixel_classes: whether the logits of pixels are used.
-    """
-
-    EVIDENCE: ClassVar[tuple[str, ...]]
-    pixel_classes: bool
-
-    def __call__(
-        self, sketched: Sketched, rigs: tuple[Rig, ...], pixel_logits: Float[Tensor, "B N K h w"] | None
-    ) -> Known:
-        """Return what is known of the voxels of single frames; `pixel_logits` may be None if they are not used."""
-        ...
-
-    def in_volume(self, volume: Float[Tensor, "B C X Y Z"], known: Known) -> Float[Tensor, "B C X Y Z"]:
-        """Return the fused volume with the hints in it, which the refiner gets."""
-        ...
-
-    def in_logits(self, known: Known) -> tuple[Float[Tensor, "B X Y Z"] | None, Float[Tensor, "B X Y Z O"] | None]:
-        """Return log-odds of being occupied, and scores of the O occupied classes; None where nothing is known.
-
-        The logits start from these log-odds instead of the training frames', and from the sum of these scores and
-        theirs.
-        """
         ...
 
 

@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Rig
+from omniocc.model.hints import Known
 from omniocc.model.occupancy import OccupancyModel
 from omniocc.model.ops.padded import Images
-from omniocc.model.protocols import Known, Sketched, joined, part_of
+from omniocc.model.protocols import Sketched, joined, part_of
 
 
 class Remembered(NamedTuple):

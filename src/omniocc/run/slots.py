@@ -1,10 +1,10 @@
 """The option in each slot of a model, and whether there are stages before occupancy."""
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 from omniocc.config import target_of
-from omniocc.model.protocols import Hints, learns
+from omniocc.model.protocols import learns
 
 
 def sketch_learns(config: Mapping[Any, Any]) -> bool:
@@ -15,7 +15,7 @@ def sketch_learns(config: Mapping[Any, Any]) -> bool:
 def uses_evidence(config: Mapping[Any, Any]) -> bool:
     """Return whether the hints hand the sketch's evidence on, which its stage then stores."""
     hints = config["model"]["hints"]
-    return any(hints[name] for name in cast(type[Hints], target_of(hints)).EVIDENCE)
+    return any(hints[part] for part in ("queries", "volume", "logits"))
 
 
 def option_of(node: Mapping[Any, Any]) -> str:

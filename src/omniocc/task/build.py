@@ -55,12 +55,10 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
     """
     if not scenes or cfg.model.semantic_head._target_ == NO_HEAD or scenes[0].pixel_labels(0) is not None:
         return None
-    off = "model/semantic_head=none"
     with open_dict(cfg):
         cfg.model.semantic_head = {"_target_": NO_HEAD}
-        if cfg.model.hints.get("pixel_classes"):
-            cfg.model.hints.pixel_classes = False
-            off += " model.hints.pixel_classes=false"
+        cfg.model.hints.pixel_classes = False
+    off = "model/semantic_head=none model.hints.pixel_classes=false"
     return f"the training frames have no classes of pixels, so the 2D head is left out: {off}"
 
 
@@ -82,12 +80,12 @@ def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
         UserError: when parts do not fit together.
     """
     hints, lifter = cfg.model.hints, cfg.model.lifter
-    if hints.get("pixel_classes") and cfg.model.semantic_head._target_ == NO_HEAD:
+    if hints.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
         raise UserError("model.hints.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
-    if bool(hints.get("queries")) != bool(lifter.get("evidence")):
+    if hints.queries != lifter.get("evidence", False):
         raise UserError(
-            f"model.hints.queries={hints.get('queries')}, but model.lifter.evidence={lifter.get('evidence')}: "
-            "set the former alone, to false for a lifter that has no such key"
+            f"model.hints.queries={hints.queries} and this model/lifter do not fit: its key evidence must follow it; "
+            "give false for a lifter without this key"
         )
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
     config = plain(cfg)

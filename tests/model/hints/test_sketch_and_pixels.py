@@ -1,5 +1,3 @@
-import inspect
-
 import pytest
 import torch
 
@@ -33,7 +31,7 @@ def pixel_logits():
 
 def test_each_switch_reaches_its_place_alone(sketched, pixel_logits, fisheye):
     volume = torch.randn(2, CHANNELS, *GRID.shape)
-    for switches in ({"volume": True}, {"logits": True}, {"pixel_classes": True}, {"queries": True}):
+    for switches in ({}, {"volume": True}, {"logits": True}, {"pixel_classes": True}, {"queries": True}):
         hints = make(**switches)
         known = hints(sketched, (fisheye, fisheye), pixel_logits)
         log_odds, scores = hints.in_logits(known)
@@ -67,10 +65,6 @@ def test_what_is_missing_is_named(sketched, fisheye):
         make(volume=True)(Sketched(sketched.candidates), (fisheye, fisheye), None)
     with pytest.raises(ValueError, match="needs a 2D head: choose model/semantic_head=fcn"):
         make(pixel_classes=True)(sketched, (fisheye, fisheye), None)
-
-
-def test_arguments_that_use_evidence_exist():
-    assert set(SketchAndPixels.EVIDENCE) < set(inspect.signature(SketchAndPixels).parameters)
 
 
 def test_live_frames_equal_windows(make_model, fisheye):

@@ -1,6 +1,6 @@
 """Evidence of the sketch and classes of the 2D head, in the queries, in the volume and in the first logits."""
 
-from typing import ClassVar
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -12,11 +12,25 @@ from omniocc.geometry import Grid
 from omniocc.model.ops.evidence import INPUTS, LOG_ODDS, network_inputs
 from omniocc.model.ops.padding import Pointwise
 from omniocc.model.ops.voxel_samples import sample_at_voxels
-from omniocc.model.protocols import Known, Sketched
+from omniocc.model.protocols import Sketched
+
+
+class Known(NamedTuple):
+    """What is known of the voxels of single frames; None where it is not used.
+
+    Attributes:
+        evidence: of the sketch, of every voxel.
+        classes: logits of the 2D head at the candidates, 0 elsewhere.
+    """
+
+    evidence: Float[Tensor, "B 4 X Y Z"] | None
+    classes: Float[Tensor, "B K X Y Z"] | None
 
 
 class SketchAndPixels(nn.Module):
     """Hand on the sketch's evidence of every voxel, and the 2D head's classes at the candidates.
+
+    With all switches off nothing is handed on, as in the paper.
 
     Args:
         stride: of the finest feature map, where the 2D head classifies, px.
@@ -29,22 +43,20 @@ class SketchAndPixels(nn.Module):
             from them.
     """
 
-    EVIDENCE: ClassVar[tuple[str, ...]] = ("queries", "volume", "logits")
-
     def __init__(
         self,
         geometry: Grid,
         stride: int,
         channels: int,
         num_classes: int,
-        queries: bool,
-        volume: bool,
-        logits: bool,
-        pixel_classes: bool,
+        queries: bool = False,
+        volume: bool = False,
+        logits: bool = False,
+        pixel_classes: bool = False,
     ):
         super().__init__()
         self.geometry, self.stride = geometry, stride
-        self.queries, self.logits, self.pixel_classes = queries, logits, pixel_classes
+        self.queries, self.logits = queries, logits
         self.evidence = Pointwise(INPUTS, channels) if volume else None
         self.classes = Pointwise(num_classes, channels) if pixel_classes else None
         self.class_weight = nn.Parameter(torch.ones(num_classes - 1)) if pixel_classes else None
@@ -58,8 +70,8 @@ class SketchAndPixels(nn.Module):
             ValueError: if evidence is used and the sketch has none, or there are no logits of pixels.
         """
         evidence = sketched.evidence() if self.logits or self.evidence is not None else None
-        if not self.pixel_classes:
-            return Known(evidence)
+        if self.classes is None:
+            return Known(evidence, None)
         if pixel_logits is None:
             raise ValueError("pixel_classes needs a 2D head: choose model/semantic_head=fcn")
         # zero logits, where no camera sees a candidate, prefer no class
