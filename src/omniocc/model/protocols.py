@@ -49,13 +49,13 @@ Fields = TypeVar("Fields", bound=tuple)
 
 def part_of(fields: Fields, *index: Any) -> Fields:
     """Return the part of every field at an index of the leading axes."""
-    return type(fields)(*(None if field is None else field[index] for field in fields))
+    return type(fields)(*(None if field is None else field[index] for field in fields))  # type: ignore[arg-type]
 
 
 def joined(parts: Sequence[Fields]) -> Fields:
     """Return one batch of several, which have the same fields."""
     columns = zip(*parts, strict=True)
-    return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))
+    return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore
 
 
 class CoarseLogits(NamedTuple):
