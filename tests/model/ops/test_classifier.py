@@ -94,6 +94,6 @@ def test_the_linear_map_is_added_and_everything_learns():
 
 
 def test_without_counts_free_is_as_likely_as_all_others_together():
-    probabilities = Classifier(GRID, 3, CLASSES).start(None, None).exp().detach()
+    probabilities = Classifier(GRID, 3, CLASSES).start().exp().detach()
     expected = torch.tensor([0.5, *[0.5 / (CLASSES - 1)] * (CLASSES - 1)])
     torch.testing.assert_close(probabilities[0, 0, 0, 0], expected)

@@ -54,19 +54,19 @@ class Classifier(nn.Module):
         self.prior_log_odds.copy_(torch.log(occupied[1] / occupied[0]))
         self.prior_shares.copy_(smoothed_fractions(counts[FREE + 1 :], rings).log().movedim(0, -1))
 
-    def forward(
-        self,
-        volume: Float[Tensor, "B C X Y Z"],
-        log_odds: Float[Tensor, "B X Y Z"] | None = None,
-        class_scores: Float[Tensor, "B X Y Z O"] | None = None,
-    ) -> Float[Tensor, "B K X Y Z"]:
-        """Return logits, from hints that may be None; see `omniocc.model.protocols.Hints.in_logits`."""
-        return self.linear(volume) + self.start(log_odds, class_scores).movedim(-1, 1)
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], *hints: Tensor | None) -> Float[Tensor, "B K X Y Z"]:
+        """Return logits; hints are those of `start`."""
+        return self.linear(volume) + self.start(*hints).movedim(-1, 1)
 
     def start(
-        self, log_odds: Float[Tensor, "B X Y Z"] | None, class_scores: Float[Tensor, "B X Y Z O"] | None
+        self, log_odds: Float[Tensor, "B X Y Z"] | None = None, class_scores: Float[Tensor, "B X Y Z O"] | None = None
     ) -> Float[Tensor, "B X Y Z K"]:
-        """Return the log-probabilities before any feature of the images is used."""
+        """Return the log-probabilities before any feature of the images is used.
+
+        Args:
+            log_odds: of being occupied; None: those of the training frames.
+            class_scores: of the occupied classes, added to the logarithms of their frequencies; None: nothing is.
+        """
         log_odds = self.prior_log_odds[None] if log_odds is None else log_odds
         scores = self.prior_weight * self.prior_shares[None]
         scores = scores if class_scores is None else scores + class_scores
