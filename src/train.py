@@ -14,7 +14,6 @@ from omniocc.classes import FREE, ClassTable
 from omniocc.config import build, check_root, plain, target_of
 from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.io import atomic_write
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import learns
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
@@ -57,7 +56,7 @@ def main(cfg: DictConfig) -> None:
     quiet_libraries()
     keep_freed_memory()
     check_devices(cfg.trainer)
-    stages, with_evidence = wanted_stages(cfg), False
+    stages = wanted_stages(cfg)
     data: OccupancyData = build(cfg.data)
     data.check_classes()
     if "occupancy" in stages:
@@ -65,7 +64,7 @@ def main(cfg: DictConfig) -> None:
         given_checkpoint(cfg.resume)
         if cfg.weights is not None:
             check_weights(cfg.weights, cfg.resume)
-        with_evidence = build_task(cfg, data.spec).model.uses_evidence
+        build_task(cfg, data.spec)
     if cfg.plan:
         rig, frames = planned_scenes(data.source)
         print(f"{'model':10}{slots_line(plain(cfg))}")
@@ -78,7 +77,7 @@ def main(cfg: DictConfig) -> None:
         check_resumed(
             given, plain(cfg), planned_steps(*training_amount(cfg, "occupancy", frames, bare_trainer(cfg.trainer)))
         )
-    earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
+    earlier = Stages(cfg, data) if sketch_learns(cfg) else None
     if is_first():
         for line in filter(None, (without_head, line_on_lifter(cfg.model.lifter, data.geometry), *data.remarks())):
             print(line, flush=True)
@@ -170,8 +169,7 @@ def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | 
     if earlier is not None:
         return facts
     sample = data.dataset("test")[0]
-    images = to_unit_range(sample.images[-1:].to(task.device))
-    candidates = task.model.choose(images, sample.rigs[-1:]).candidates
+    candidates = task.model.choose(sample.images[-1:].to(task.device), sample.rigs[-1:]).candidates
     return facts | {CANDIDATES: round(float(candidates.float().mean()), 4)}
 
 

@@ -49,8 +49,8 @@ def test_the_class_of_an_option_lies_where_its_file_says(path):
     assert inspect.getmodule(get_object(target)).__name__.startswith(target.rsplit(".", 1)[0])
 
 
-OF_ANOTHER_CLASS = {("sketch", "mono"): "Omni", ("geometry", "occ3d"): "Cuboid"}
-"""Options without a class of their own: the same network on another depth option, a grid with a dataset's numbers."""
+OF_ANOTHER_CLASS = {("sketch", "mono"): "Omni", ("geometry", "occ3d"): "Cuboid", ("hints", "none"): "SketchAndPixels"}
+"""Options without a class of their own: another depth option, a grid with a dataset's numbers, all switches off."""
 
 
 def test_option_module_and_class_share_a_name_with_the_stated_exceptions_alone():

@@ -24,7 +24,6 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.metric import DepthMetrics
-from omniocc.model.occupancy import to_unit_range
 from omniocc.predict import load
 from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
@@ -119,7 +118,7 @@ def range_errors(weights: Path, scenes: list[SceneFrames]) -> dict[str, float]:
     errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, trained.data.spec.range_edges_m)
     for scene in scenes:
         for frame in range(len(scene)):
-            images = to_unit_range(read_images(scene, frame)).unsqueeze(0)
+            images = read_images(scene, frame).unsqueeze(0)
             true_m = torch.from_numpy(cast(Any, scene.erp_range_m(frame))).unsqueeze(0)
             errors.update(model(images, (scene.rigs[frame],)).range_m, true_m)
     return {f"test/depth/{key}": float(value) for key, value in errors.compute().items()}

@@ -28,7 +28,6 @@ from omniocc.data.dataset import read_images
 from omniocc.data.labels.counts import all_frames
 from omniocc.errors import UserError
 from omniocc.model.depth import Spheres
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.predict import load
@@ -113,7 +112,7 @@ def frames_of(model: Any, data: OccupancyData, split: Any) -> Iterator[Frame]:
     rays = model.panorama.rays()
     level = (1 - rays[..., 2] ** 2).sqrt()
     for scene, frame in all_frames(data.source.scenes(split)):
-        rig, images = scene.rigs[frame], to_unit_range(read_images(scene, frame)).unsqueeze(0)
+        rig, images = scene.rigs[frame], read_images(scene, frame).unsqueeze(0)
         true_m = torch.from_numpy(cast(np.ndarray, scene.erp_range_m(frame))).float()
         far_m = torch.where(true_m.isfinite(), true_m, 1e3).unsqueeze(-1)
         seen = rig.project(rays * far_m)[1].any(0) & ~true_m.isnan()

@@ -26,7 +26,6 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.metric import Calibration, DepthMetrics
 from omniocc.model.depth import DepthMap
-from omniocc.model.occupancy import to_unit_range
 from omniocc.predict import load
 from omniocc.progress import Progress
 from omniocc.run.script import quiet_libraries
@@ -116,7 +115,7 @@ def score(model: nn.Module, data: OccupancyData, without: int | None = None) -> 
     panorama, edges_m = cast(Equirectangular, model.panorama), data.source.spec.range_edges_m
     rays, scores = panorama.rays(), None
     for scene, frame in all_frames(data.source.scenes("test")):
-        rig, images = scene.rigs[frame], to_unit_range(read_images(scene, frame)).unsqueeze(0)
+        rig, images = scene.rigs[frame], read_images(scene, frame).unsqueeze(0)
         seen_by = range(len(rig.cameras))
         if without is not None:
             images[:, without] = 0

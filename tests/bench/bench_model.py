@@ -24,7 +24,6 @@ from torch.profiler import profile
 
 from omniocc.camera import Rig
 from omniocc.config import build
-from omniocc.model.ops.evidence import unpack_evidence
 from omniocc.model.sketch import Random, Sketched
 from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
@@ -130,7 +129,6 @@ class Inputs:
         self.poses[:, :, 0, 3] = torch.arange(frames, device=device)  # a metre a frame
         self.exists = torch.ones(self.batch, frames, dtype=torch.bool, device=device)
         self.newest = self.images[:, -1].float() / 255
-        self.classes = cfg.data.num_classes
         with torch.no_grad():
             self.features = [level.requires_grad_() for level in model.backbone(self.newest)]
             self.sketched = self.candidates(model.geometry, 0.25)
@@ -145,11 +143,10 @@ class Inputs:
         return {"backbone": (self.newest,), "refiner": (self.volume, self.sketched), "temporal": window}[slot]
 
     def candidates(self, geometry: Any, fraction: float) -> Sketched:
-        """Return the same random cells for every sample, and random evidence and classes."""
+        """Return the same random cells for every sample, and random evidence."""
         device = self.newest.device
         chosen = Random(geometry, fraction).to(device)(self.newest, self.rigs).candidates
-        evidence = unpack_evidence(torch.randint(0, 256, chosen.shape, dtype=torch.uint8, device=device))
-        return Sketched(chosen, evidence, torch.rand(self.batch, self.classes, *geometry.shape, device=device))
+        return Sketched(chosen, torch.randint(0, 256, chosen.shape, dtype=torch.uint8, device=device))
 
 
 SlotRun = tuple[str, object, Run, bool]
@@ -158,10 +155,7 @@ SlotRun = tuple[str, object, Run, bool]
 def slot_runs(model: Any, inputs: Inputs) -> list[SlotRun]:
     """Return name, module and forward pass of every slot and of the whole model, and whether it is trained."""
     frames = inputs.images.shape[1]
-    candidates, evidence, _ = inputs.sketched
-    window = Sketched(
-        candidates[:, None].expand(-1, frames, -1, -1, -1), evidence[:, None].repeat(1, frames, 1, 1, 1, 1)
-    )
+    window = Sketched(*(part[:, None].repeat(1, frames, 1, 1, 1) for part in inputs.sketched))
     rigs = tuple((rig,) * frames for rig in inputs.rigs)
     everything = (inputs.images, rigs, inputs.poses, window, inputs.exists)
     return [
@@ -171,7 +165,7 @@ def slot_runs(model: Any, inputs: Inputs) -> list[SlotRun]:
         ("temporal", model.temporal, lambda: model.temporal(inputs.volumes, inputs.poses, inputs.exists), True),
         ("refiner", model.refiner, lambda: model.refiner(inputs.volume, inputs.sketched), True),
         ("semantic_head", model.semantic_head, lambda: model.semantic_head(inputs.features), True),
-        ("classifier", model.classifier, lambda: model.classifier(inputs.refined, inputs.sketched), True),
+        ("classifier", model.classifier, lambda: model.classifier(inputs.refined), True),
         ("all but the sketch", model, lambda: model(*everything), True),
     ]
 

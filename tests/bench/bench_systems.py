@@ -35,7 +35,8 @@ def make_model(cfg: DictConfig, device: torch.device) -> OccupancyModel:
     """Return the system; the candidates of a learned sketch are drawn at random instead."""
     geometry = build(cfg.model.geometry)
     dense = cfg.model.sketch._target_.endswith("Dense")
-    parts = {slot: build(cfg.model[slot]) for slot in ("backbone", "lifter", "temporal", "refiner", "semantic_head")}
+    slots = ("backbone", "lifter", "temporal", "refiner", "semantic_head", "hints")
+    parts = {slot: build(cfg.model[slot]) for slot in slots}
     sketch = Dense(geometry) if dense else Random(geometry, FRACTION)
     return OccupancyModel(geometry=geometry, sketch=sketch, num_classes=cfg.model.num_classes, **parts).to(device)
 

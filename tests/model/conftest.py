@@ -8,6 +8,7 @@ from omniocc.camera.pose import pose_from_angles
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import ResNet
+from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import Coloring
 from omniocc.model.refiner import UNet
 from omniocc.model.semantic_head import FCN
@@ -63,6 +64,7 @@ def make_model(make_backbone, as_trained):
             NoTemporal(),
             UNet(geometry, 8, [8, 8, 16]),
             FCN(8, 8, 12),
+            SketchAndPixels(geometry, 4, 8, 12),
             num_classes=12,
         )
         return as_trained(model)

@@ -9,6 +9,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
+from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
     BiGrid,
     CoarseColoring,
@@ -88,7 +89,7 @@ def test_the_lifter_alone_may_take_cameras_for_pinholes(make_model, images, pose
     model = make_model(Cylinder((8, 12, 4)), Random(Cylinder((8, 12, 4)), 0.5)).eval()
     own = model(images, every_frame((fisheye, pinhole)), poses)
     flat = model(images, every_frame((as_pinholes(fisheye), pinhole)), poses)
-    model.lens = "pinhole"
+    model.lifter.lens = "pinhole"
     pretended = model(images, every_frame((fisheye, pinhole)), poses)
     torch.testing.assert_close(pretended.logits, flat.logits)
     assert torch.equal(pretended.pixel_logits, own.pixel_logits)
@@ -212,6 +213,7 @@ def test_no_semantic_head_predicts_no_pixels(make_backbone, geometry, images, po
         NoTemporal(),
         NoRefiner(8) if refiner == "none" else UNet(geometry, 8, [8, 8]),
         NoSemanticHead(),
+        SketchAndPixels(geometry, 4, 8, 3),
         num_classes=3,
     )
     prediction = model(images, every_frame((fisheye, fisheye)), poses)

@@ -5,6 +5,7 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.config import build, check_root
+from omniocc.model.protocols import part_of
 from omniocc.model.sketch import Random, Sketched
 
 PARTS = {
@@ -70,7 +71,7 @@ def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, 
         assert both.shape == (2, 12, *model.geometry.shape)
         for index, rig in enumerate((fisheye, pinhole)):
             part = slice(index, index + 1)
-            single = model(images[part].double(), ((rig,) * frames,), poses[part], candidates.at(part)).logits
+            single = model(images[part].double(), ((rig,) * frames,), poses[part], part_of(candidates, part)).logits
             torch.testing.assert_close(both[part], single)
 
 

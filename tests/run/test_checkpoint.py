@@ -131,6 +131,11 @@ def test_a_checkpoint_may_name_options_of_the_slots_alone(config, message, tmp_p
     assert "\n" not in str(told.value)
 
 
+def test_a_model_from_before_the_slot_of_hints_is_one_line(tmp_path):
+    with pytest.raises(UserError, match=r"a.ckpt is of an older version: its model has no hints; train again$"):
+        checked(tmp_path / "a.ckpt", model(sketch=SKETCH, evidence_in_volume=False))
+
+
 def test_nesting_without_end_is_refused(tmp_path):
     deep = {}
     for _ in range(200):

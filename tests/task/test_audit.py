@@ -5,6 +5,7 @@ from batches import RIG, make_batch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.parallax import pixels_per_metre
 from omniocc.classes import FREE, UNKNOWN
+from omniocc.model.ops.evidence import pack_evidence
 from omniocc.model.protocols import Sketched
 from omniocc.task.audit import Audit, Overlap, RangeErrors, pairs_without_label, with_true_classes, with_true_geometry
 
@@ -46,8 +47,8 @@ def test_a_perfect_prediction_loses_nothing(make_task, spec):
     logits = 9 * torch.nn.functional.one_hot(batch.voxels.long(), 12).movedim(-1, 1).float()
     audit = Audit(task.model.geometry, spec)
     occupied = (batch.voxels != FREE).float()
-    evidence = torch.stack([torch.logit(0.1 + 0.8 * occupied), occupied, occupied, occupied], dim=1)
-    audit.update(logits, Sketched(batch.candidates[:, -1], evidence), batch)
+    bits = pack_evidence(torch.logit(0.1 + 0.8 * occupied), occupied.to(torch.uint8))
+    audit.update(logits, Sketched(batch.candidates[:, -1], bits), batch)
     lines = dict(audit.lines())
     for variant in ("of the model", "with true geometry", "with true classes"):
         assert lines[f"RayIoU {variant}"] == "1.000"

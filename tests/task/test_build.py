@@ -29,15 +29,28 @@ def test_a_value_that_the_trainer_does_not_take_is_named(smoke):
 
 
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
-    with pytest.raises(UserError, match=r"model.pixel_classes=true needs a 2D head"):
-        make_task("model/semantic_head=none", "model.pixel_classes=true")
+    with pytest.raises(UserError, match=r"model.hints.pixel_classes=true needs a 2D head"):
+        make_task("model/semantic_head=none", "model.hints.pixel_classes=true")
 
 
 @pytest.mark.parametrize("lifter", ["coloring", "coarse_coloring", "pillar"])
-def test_evidence_in_the_queries_is_stored_for_every_lifter_that_has_it(make_task, lifter):
+def test_one_key_hands_evidence_to_the_queries_of_every_lifter_that_takes_it(make_task, lifter):
     for used in (True, False):
-        task = make_task(f"model/lifter={lifter}", f"model.lifter.evidence={used}")
-        assert task.model.uses_evidence == used
+        model = make_task("model=extended", f"model/lifter={lifter}", f"model.hints.queries={used}").model
+        assert any(".evidence." in f".{name}" for name, _ in model.lifter.named_parameters()) == used
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("model/lifter=lift_splat", "model.hints.queries=true"),
+        ("model.lifter.evidence=true",),
+        ("model.hints.queries=true", "model.lifter.evidence=false"),
+    ],
+)
+def test_queries_that_would_get_no_evidence_or_no_stored_one_are_named(make_task, overrides):
+    with pytest.raises(UserError, match=r"model.hints.queries=(True|False) and this model/lifter do not fit"):
+        make_task(*overrides)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,8 @@ PAIRS = [
     for temporal, refiner, head in product(options("temporal"), options("refiner"), options("semantic_head"))
 ]
 HISTORY = ["model/temporal=mean", "model.temporal.history_gradient=true"]
-SINGLES = [[f"model/{slot}={name}"] for slot in ("backbone", "geometry", "lifter", "sketch") for name in options(slot)]
+ONE_BY_ONE = ("backbone", "geometry", "lifter", "sketch", "hints")
+SINGLES = [[f"model/{slot}={name}"] for slot in ONE_BY_ONE for name in options(slot)]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from omniocc.model import OccupancyModel
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.protocols import LearnedSketch, learns
 
-SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
+SLOTS = ("backbone", "sketch", "lifter", "hints", "temporal", "refiner")
 
 
 class Program(nn.Module):
@@ -38,8 +38,9 @@ class Frame(Program):
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
         lifted = self.model.lift(images[None], (self.rig,))
-        known = self.model.with_classes(lifted, (self.rig,))
-        return self.model.fuse([lifted.volume], pose, there, known).argmax(1)[0].to(torch.uint8)
+        known = self.model.known(lifted, (self.rig,))
+        logits, _ = self.model.fuse([lifted.volume], pose, there, lifted.sketched, known)
+        return logits.argmax(1)[0].to(torch.uint8)
 
 
 class Step(Program):
@@ -63,9 +64,10 @@ class Step(Program):
             world_from_ego: poses of the past frames and, last, of the newest.
         """
         lifted = self.model.lift(images[None], (self.rig,))
-        known = self.model.with_classes(lifted, (self.rig,))
+        known = self.model.known(lifted, (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
-        logits = self.model.fuse([*past_volumes.split(1), lifted.volume], world_from_ego[None], exists, known)
+        volumes = [*past_volumes.split(1), lifted.volume]
+        logits, _ = self.model.fuse(volumes, world_from_ego[None], exists, lifted.sketched, known)
         return logits.argmax(1)[0].to(torch.uint8), lifted.volume[0]
 
 

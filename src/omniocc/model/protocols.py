@@ -7,20 +7,19 @@ training on rigs of several sizes.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.model.ops.blocks import block_any, block_means
 from omniocc.model.ops.depth.depth_map import DepthMap
 from omniocc.model.ops.depth.spheres import Spheres
 from omniocc.model.ops.evidence import unpack_evidence
-from omniocc.model.ops.padded import FeatureMaps, Rigs
-from omniocc.model.ops.padding import Axes
+from omniocc.model.ops.padded import FeatureMaps, Images, Rigs
 
 Volumes = list[Float[Tensor, "B C X Y Z"]]
 """Voxel features of each frame of a window, oldest first."""
@@ -31,38 +30,32 @@ class Sketched(NamedTuple):
 
     Attributes:
         candidates: voxels that are worth colouring.
-        evidence: of every voxel, see `omniocc.model.ops.evidence`; None if the sketch has none.
-        classes: logits of the 2D head at the candidates, 0 elsewhere; the model adds them if it uses them.
+        bits: of the evidence of every voxel, see `omniocc.model.ops.evidence`; None if the sketch has none.
     """
 
     candidates: Bool[Tensor, "B *T X Y Z"]
-    evidence: Float[Tensor, "B *T E X Y Z"] | None = None
-    classes: Float[Tensor, "B *T K X Y Z"] | None = None
+    bits: UInt8[Tensor, "B *T X Y Z"] | None = None
 
-    def at(self, *index: Any) -> "Sketched":
-        """Return the part at an index of the leading axes."""
-        evidence, classes = (None if part is None else part[index] for part in self[1:])
-        return Sketched(self.candidates[index], evidence, classes)
-
-
-def stored(candidates: Bool[Tensor, "B *T X Y Z"] | None, bits: UInt8[Tensor, "B *T X Y Z"] | None) -> Sketched | None:
-    """Return what a sketch stage stored: candidates, and the bits of the evidence, if any; None without candidates."""
-    if candidates is None:
-        return None
-    return Sketched(candidates, None if bits is None else unpack_evidence(bits))
+    def evidence(self) -> Float[Tensor, "B *T 4 X Y Z"]:
+        """Return the evidence of every voxel; raise UserError if the sketch has none."""
+        if self.bits is None:
+            raise UserError("this model uses the sketch's evidence, and its sketch has none: choose model/sketch=omni")
+        return unpack_evidence(self.bits)
 
 
-def joined(parts: Sequence[Sketched]) -> Sketched:
+Fields = TypeVar("Fields", bound=tuple)
+"""Of tensors that have the samples along their first axis; some may be None."""
+
+
+def part_of(fields: Fields, *index: Any) -> Fields:
+    """Return the part of every field at an index of the leading axes."""
+    return type(fields)(*(None if field is None else field[index] for field in fields))  # type: ignore[arg-type]
+
+
+def joined(parts: Sequence[Fields]) -> Fields:
     """Return one batch of several, which have the same fields."""
-    candidates, *others = zip(*parts, strict=True)
-    evidence, classes = (None if column[0] is None else torch.cat(column) for column in others)
-    return Sketched(torch.cat(candidates), evidence, classes)
-
-
-def sketched_blocks(sketched: Sketched, block: Axes) -> Sketched:
-    """Return the sketch on the grid of blocks: blocks with a candidate, and means of the evidence."""
-    means = None if sketched.evidence is None else block_means(sketched.evidence, block)
-    return Sketched(block_any(sketched.candidates, block), means)
+    columns = zip(*parts, strict=True)
+    return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore
 
 
 class CoarseLogits(NamedTuple):
@@ -153,10 +146,8 @@ class Depth(Protocol):
         """Return the spheres to which the indices of depth maps refer for a rig."""
         ...
 
-    def __call__(
-        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
-    ) -> DepthMap:
-        """Return the panorama from RGB in [0, 1]; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
+    def __call__(self, images: Images, rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None) -> DepthMap:
+        """Return the panorama from RGB; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
         ...
 
 

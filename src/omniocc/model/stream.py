@@ -3,12 +3,14 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Rig
+from omniocc.model.hints import Known
 from omniocc.model.occupancy import OccupancyModel
-from omniocc.model.protocols import Sketched, joined
+from omniocc.model.ops.padded import Images
+from omniocc.model.protocols import Sketched, joined, part_of
 
 
 class Remembered(NamedTuple):
@@ -16,6 +18,7 @@ class Remembered(NamedTuple):
 
     volume: Float[Tensor, "1 C X Y Z"]
     sketched: Sketched
+    known: Known
     world_from_ego: Float[Tensor, "4 4"]
 
 
@@ -59,7 +62,7 @@ class Stream:
     @torch.no_grad()
     def step(
         self,
-        images: UInt8[Tensor, "N 3 H W"] | Float[Tensor, "N 3 H W"],
+        images: Images,
         rig: Rig,
         world_from_ego: Float[Tensor, "4 4"],
         sketched: Sketched | None = None,
@@ -73,7 +76,7 @@ class Stream:
     @torch.no_grad()
     def windows(
         self,
-        images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
+        images: Images,
         rigs: tuple[tuple[Rig, ...], ...],
         world_from_ego: Float[Tensor, "B T 4 4"],
         sketched: Sketched | None,
@@ -94,7 +97,7 @@ class Stream:
         }
         if missing:
             samples, frames = (list(column) for column in zip(*missing.values(), strict=True))
-            selected = sketched and sketched.at(samples, frames)
+            selected = sketched and part_of(sketched, samples, frames)
             their_rigs = tuple(rigs[sample][frame] for sample, frame in missing.values())
             self._lift(list(missing), images[samples, frames], their_rigs, world_from_ego[samples, frames], selected)
         return self._fuse(windows)
@@ -102,25 +105,26 @@ class Stream:
     def _lift(
         self,
         keys: list[Key],
-        images: UInt8[Tensor, "M N 3 H W"] | Float[Tensor, "M N 3 H W"],
+        images: Images,
         rigs: tuple[Rig, ...],
         world_from_ego: Float[Tensor, "M 4 4"],
         sketched: Sketched | None,
     ) -> None:
         assert not self.model.training
         lifted = self.model.lift(images, rigs, sketched)
-        known = self.model.with_classes(lifted, rigs)
+        known = self.model.known(lifted, rigs)
         for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
-            # a copy: a view would keep the volumes of the whole batch
-            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), known.at([index]), pose)
+            # copies: views would keep what belongs to the whole batch
+            own = part_of(lifted.sketched, [index]), part_of(known, [index])
+            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), *own, pose)
 
     def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
         """Return logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
-        known = self._frames
-        frames = [[known.get(key, known[window[-1]]) for key in window] for window in windows]
+        there = self._frames
+        frames = [[there.get(key, there[window[-1]]) for key in window] for window in windows]
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
-        exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
-        sketched = joined([window[-1].sketched for window in frames])
-        self._frames = {key: known[key] for key in windows[-1][1:] if key in known}
-        return self.model.fuse(volumes, poses, exists, sketched)
+        exists = torch.tensor([[key in there for key in window] for window in windows], device=poses.device)
+        sketched, known = (joined([getattr(window[-1], part) for window in frames]) for part in ("sketched", "known"))
+        self._frames = {key: there[key] for key in windows[-1][1:] if key in there}
+        return self.model.fuse(volumes, poses, exists, sketched, known)[0]

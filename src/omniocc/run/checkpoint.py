@@ -163,6 +163,8 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
     try:
         check(chosen, packages=trusted)
     except ConfigError as error:
+        if "evidence_in_volume" in chosen.get("model", ()):  # a key that the slot `hints` replaced
+            raise UserError(f"{path} is of an older version: its model has no hints; train again") from error
         raise ConfigError(error.problems, path) from error
 
 

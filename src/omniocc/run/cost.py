@@ -10,8 +10,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from omniocc.data.dataset import Sample
 from omniocc.model import OccupancyModel, Stream
-from omniocc.model.occupancy import to_unit_range
-from omniocc.model.protocols import learns, stored, takes_true_range
+from omniocc.model.protocols import Sketched, learns, takes_true_range
 
 PARAMETERS, GFLOP, PEAK = "million parameters", "GFLOP a frame", "peak MiB"
 
@@ -56,12 +55,12 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
-    parts = (None if part is None else part[-1:].to(device) for part in (sample.candidates, sample.evidence))
-    sketched = stored(*parts)
+    parts = [None if part is None else part[-1:].to(device) for part in (sample.candidates, sample.evidence)]
+    sketched = None if parts[0] is None else Sketched(parts[0], parts[1])
     stream = Stream(model)
     runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):
-        runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rigs[-1],)))
+        runs.append(lambda: model.choose(images[None], (sample.rigs[-1],)))
     for run in [*runs, *runs[:1] * (model.temporal.frames - 1)]:  # fills the caches by rig, which belong to no frame
         count_gflop(run)
     parameters = sum(parameter.numel() for parameter in model.parameters())

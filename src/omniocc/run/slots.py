@@ -12,6 +12,12 @@ def sketch_learns(config: Mapping[Any, Any]) -> bool:
     return learns(target_of(config["model"]["sketch"]))
 
 
+def uses_evidence(config: Mapping[Any, Any]) -> bool:
+    """Return whether the hints hand the sketch's evidence on, which its stage then stores."""
+    hints = config["model"]["hints"]
+    return any(hints[part] for part in ("queries", "volume", "logits"))
+
+
 def option_of(node: Mapping[Any, Any]) -> str:
     """Return the option of a node: the name of the file that its class is in, as in `conf/`.
 

@@ -16,7 +16,6 @@ from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.evidence import LOG_ODDS
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.progress import Progress
@@ -47,7 +46,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:
             logits = task.predict(batch).logits
-            images = to_unit_range(batch.images[:, -1])
+            images = batch.images[:, -1]
             found.update(logits, task.model.choose(images, batch.newest_rigs), batch)
             if batch.erp_range_m is not None and learns(type(task.model.sketch)):
                 sketch = cast(LearnedSketch, task.model.sketch)
@@ -83,8 +82,8 @@ class Audit(nn.Module):
         self.true_geometry.update(with_true_geometry(logits, truth), batch)
         self.true_classes.update(with_true_classes(labels, truth), batch)
         self.overlap.update(labels != FREE, truth)
-        if sketched.evidence is not None:
-            probability = sketched.evidence[:, LOG_ODDS].sigmoid()
+        if sketched.bits is not None:
+            probability = sketched.evidence()[:, LOG_ODDS].sigmoid()
             for cut, overlap in zip(THRESHOLDS, self.sketch_overlaps, strict=True):
                 overlap.update(probability >= cut, truth)
         top = logits.float().softmax(1).amax(1)

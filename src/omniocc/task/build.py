@@ -56,8 +56,8 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
         return None
     with open_dict(cfg):
         cfg.model.semantic_head = {"_target_": NO_HEAD}
-        cfg.model.pixel_classes = False
-    off = "model/semantic_head=none model.pixel_classes=false"
+        cfg.model.hints.pixel_classes = False
+    off = "model/semantic_head=none model.hints.pixel_classes=false"
     return f"the training frames have no classes of pixels, so the 2D head is left out: {off}"
 
 
@@ -78,8 +78,14 @@ def build_task(cfg: DictConfig, spec: SourceSpec, trained: OccupancyModel | None
     Raises:
         UserError: when parts do not fit together.
     """
-    if cfg.model.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
-        raise UserError("model.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
+    hints, lifter = cfg.model.hints, cfg.model.lifter
+    if hints.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
+        raise UserError("model.hints.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
+    if hints.queries != lifter.get("evidence", False):
+        raise UserError(
+            f"model.hints.queries={hints.queries} and this model/lifter do not fit: its key evidence must follow it; "
+            "give false for a lifter without this key"
+        )
     model = build(cfg.model) if trained is None else trained
     loss, optimizer, augment = (build(cfg[part]) for part in PARTS[1:])
     config = plain(cfg)

@@ -12,9 +12,9 @@ from omniocc.batch import Batch
 from omniocc.data import Appearance
 from omniocc.metric import Calibration, DepthMetrics
 from omniocc.model.depth import DepthMap, Spheres
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
 from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.padded import to_unit_range
 from omniocc.task.adamw import AdamW
 from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
@@ -65,7 +65,7 @@ class DepthTask(StageTask[nn.Module]):
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted panoramas."""
-        depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
+        depth = self.model(batch.images[:, -1], batch.newest_rigs, batch.erp_range_m)
         if batch.erp_range_m is not None:
             # every ray is scored, also uncertain ones
             self.errors.update(depth.range_m.float(), batch.erp_range_m)

@@ -15,7 +15,7 @@ from omniocc.data import Augment, SourceSpec
 from omniocc.errors import UserError
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
-from omniocc.model.protocols import Sketched, stored
+from omniocc.model.protocols import Sketched
 from omniocc.task.adamw import AdamW, factor_of
 from omniocc.task.scene_counts import SceneCounts
 from omniocc.task.scores import Scores
@@ -182,4 +182,5 @@ def fixed_parts(model: nn.Module, factors: Mapping[str, float]) -> tuple[nn.Modu
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
     """Return images, rigs of every frame, poses, and the results of the sketch stage, None where it has not run."""
-    return batch.images, batch.rigs, batch.world_from_ego, stored(batch.candidates, batch.evidence)
+    sketched = None if batch.candidates is None else Sketched(batch.candidates, batch.evidence)
+    return batch.images, batch.rigs, batch.world_from_ego, sketched

@@ -29,9 +29,7 @@ from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.sphere_net import SphereNet
-from omniocc.model.ops.evidence import repack_evidence
 from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
@@ -39,6 +37,7 @@ from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import MINUTES, load_results, save_results
+from omniocc.run.slots import uses_evidence
 from omniocc.run.wandb.loggers import finish
 from omniocc.task.build import bare_trainer
 from omniocc.task.depth import DepthTask
@@ -66,10 +65,9 @@ class Stages:
     Args:
         cfg: checked configuration with a learned sketch.
         data: of the occupancy stage, prepared; the stages are trained on its scenes and predict for all of them.
-        with_evidence: whether the sketch's evidence is stored as well.
     """
 
-    def __init__(self, cfg: DictConfig, data: OccupancyData, with_evidence: bool):
+    def __init__(self, cfg: DictConfig, data: OccupancyData):
         self.cfg = cfg
         self.fingerprint, self.spec = data.source.fingerprint, data.spec
         self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
@@ -79,7 +77,7 @@ class Stages:
         panorama = build(cfg.depth).panorama
         self.ranges = RangeCache(depth / "ranges", (panorama.height, panorama.width))
         self.candidates = CandidateCache(sketch / f"candidates-{keys.candidates}", data.geometry.shape)
-        self.evidence = EvidenceCache(sketch / "evidence", data.geometry.shape) if with_evidence else None
+        self.evidence = EvidenceCache(sketch / "evidence", data.geometry.shape) if uses_evidence(cfg) else None
         self.folders = {"depth": depth, "sketch": sketch}
         self.results = {"depth": depth, "sketch": self.candidates.folder}
 
@@ -285,15 +283,12 @@ def read_range(ranges: RangeCache, scene: SceneFrames, frame: int) -> tuple[Tens
 
 def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Tensor | None) -> tuple[Tensor]:
     """Return the predicted panorama of a frame, (h, w), m; nan where unknown."""
-    return (task.model(to_unit_range(images), (rig,), true_range_m).known_range_m()[0],)
+    return (task.model(images, (rig,), true_range_m).known_range_m()[0],)
 
 
 def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tensor, ...]:
     """Return candidates, and bits of the evidence if there is any, (X, Y, Z) each, from a predicted panorama."""
-    sketched = task.sketch.hand_on(*known(range_m))
-    if sketched.evidence is None:
-        return (sketched.candidates[0],)
-    return sketched.candidates[0], repack_evidence(sketched.evidence[0])
+    return tuple(part[0] for part in task.sketch.hand_on(*known(range_m)) if part is not None)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.model.occupancy import to_unit_range
+from omniocc.model.ops.padded import to_unit_range
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.sequence import true_range_m
 from omniocc.predict.predictor import Input, Prediction, Predictor

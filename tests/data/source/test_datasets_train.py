@@ -129,7 +129,7 @@ def depth_of_kitti360(smoke, tmp_path_factory):
     def make(**recipe):
         changed = copy.deepcopy(cfg)
         changed.stages.depth.update(recipe)
-        return Stages(changed, data, False)
+        return Stages(changed, data)
 
     return make
 
@@ -155,7 +155,7 @@ def test_depth_without_true_ranges_is_one_clear_line(smoke, tmp_path):
     data = build(cfg.data)
     data.prepare_data()
     with pytest.raises(UserError, match="the training frames have no true ranges, from which depth learns: choose a"):
-        Stages(cfg, data, False).run("depth", "depth")
+        Stages(cfg, data).run("depth", "depth")
 
 
 def test_the_2d_head_learns_from_woodscape(smoke, tmp_path_factory):
@@ -177,7 +177,7 @@ def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()
-    stages = Stages(cfg, data, False)
+    stages = Stages(cfg, data)
     stages.run("depth", "depth")
     figures = stages.run("sketch", "sketch")
     assert 0 <= figures["test/sketch/recall"] <= 1
@@ -190,13 +190,13 @@ def test_without_classes_of_pixels_the_2d_head_is_off(smoke, occ3d, kitti):
     line = switch_off_head(cfg, data.source.scenes("train"))
     assert line.startswith("the training frames have no classes of pixels, so the 2D head is left out: model/semantic")
     model = build_task(cfg, data.source.spec).model
-    assert model.seen_classes is None
+    assert model.hints.classes is None
     assert not list(model.semantic_head.parameters())
     assert switch_off_head(cfg, data.source.scenes("train")) is None
     with_classes = smoke("model=extended", *kitti)
     scenes = build(with_classes.data).source.scenes("train")
     assert switch_off_head(with_classes, scenes) is None
-    assert with_classes.model.pixel_classes
+    assert with_classes.model.hints.pixel_classes
     assert switch_off_head(with_classes, []) is None
 
 

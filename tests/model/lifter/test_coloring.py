@@ -8,7 +8,7 @@ from by_hand import bilinear
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
 from omniocc.model.lifter.coloring import position_features
-from omniocc.model.ops.evidence import network_inputs
+from omniocc.model.ops.evidence import network_inputs, unpack_evidence
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.ops.visible import group_samples, reference_points
 from omniocc.model.sketch import Sketched
@@ -106,14 +106,17 @@ def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye, geome
 def test_evidence_is_added_to_the_queries_of_each_sample(fisheye):
     lifter, features = make(evidence=True), make_features()
     candidates = (torch.rand(1, *GRID.shape) < 0.6).expand(2, -1, -1, -1)
-    evidence = torch.randn(2, 4, *GRID.shape, dtype=torch.float64)
-    result = lifter(features, Sketched(candidates, evidence), (fisheye, fisheye))
+    bits = torch.randint(0, 256, (2, *GRID.shape), dtype=torch.uint8)
+    evidence = unpack_evidence(bits).double()
+    result = lifter.color(features, candidates, (fisheye, fisheye), evidence)
     for index in range(2):
         inputs = network_inputs(evidence)[index].flatten(1)
         expected = color_by_loops(lifter, [level[index] for level in features], candidates[index], fisheye, inputs)
         torch.testing.assert_close(result[index], expected, rtol=1e-5, atol=1e-5)
     with pytest.raises(ValueError, match="choose model/sketch=omni"):
         lifter(features, Sketched(candidates), (fisheye, fisheye))
+    of_bits = lifter.float()([level.float() for level in features], Sketched(candidates, bits), (fisheye, fisheye))
+    torch.testing.assert_close(of_bits, result.float(), rtol=1e-4, atol=1e-4)
 
 
 @torch.no_grad()
@@ -127,13 +130,13 @@ def test_queries_may_start_from_features_of_each_sample(fisheye, pinhole, static
         part = slice(index, index + 1)
         own = [level[part] for level in features]
         with static_shapes() if static else contextlib.nullcontext():
-            single = lifter.color(own, Sketched(candidates[part]), rigs[part], start[part])[0]
+            single = lifter.color(own, candidates[part], rigs[part], start=start[part])[0]
         expected = color_by_loops(
             lifter, [level[0] for level in own], candidates[index], rigs[index], start=start[index].flatten(1)
         )
         torch.testing.assert_close(single, expected, rtol=1e-5, atol=1e-5)
         if not static:
-            together = lifter.color(features, Sketched(candidates), rigs, start)
+            together = lifter.color(features, candidates, rigs, start=start)
             torch.testing.assert_close(together[index], single)
 
 

@@ -54,9 +54,9 @@ def test_equals_splatting_by_loops_and_what_blocks_find(fisheye, geometry):
     for i, j, k in itertools.product(range(x // 2), range(y // 2), range(z)):
         mean = sum(volume[:, 2 * i + a, 2 * j + b, k] for a, b in itertools.product(range(2), range(2))) / 4
         queries[:, i, j, k] = lifter.query.weight @ mean + lifter.query.bias
-    everywhere = Sketched(torch.ones(1, *queries.shape[1:], dtype=torch.bool))
+    everywhere = torch.ones(1, *queries.shape[1:], dtype=torch.bool)
     # `Coloring` is compared with loops in its own test
-    found = lifter.coloring.color(features, everywhere, (fisheye,), queries[None])[0]
+    found = lifter.coloring.color(features, everywhere, (fisheye,), start=queries[None])[0]
     expected = volume.clone()
     for i, j, k in itertools.product(range(x), range(y), range(z)):
         expected[:, i, j, k] += lifter.found.weight @ found[:, i // 2, j // 2, k] + lifter.found.bias

@@ -3,26 +3,22 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.ops.classifier import Classifier, smoothed_fractions
-from omniocc.model.protocols import Sketched
 
 GRID = Cylinder((4, 6, 2))
 CLASSES = 4
 
 
-def make(evidence=False, pixel_classes=False, geometry=GRID, zeros=True):
-    classifier = Classifier(geometry, 3, CLASSES, evidence, pixel_classes)
+def make(geometry=GRID, zeros=True):
+    classifier = Classifier(geometry, 3, CLASSES)
     classifier.set_class_counts(torch.randint(0, 30, (CLASSES, *geometry.shape)))
     if zeros:
         torch.nn.init.zeros_(classifier.linear.weight)
     return classifier
 
 
-def sketched(batch=2, geometry=GRID):
-    return Sketched(
-        torch.ones(batch, *geometry.shape, dtype=torch.bool),
-        torch.randn(batch, 4, *geometry.shape),
-        torch.randn(batch, CLASSES, *geometry.shape),
-    )
+def hints(batch=2):
+    """Log-odds of being occupied, and scores of the occupied classes."""
+    return torch.randn(batch, *GRID.shape), torch.randn(batch, *GRID.shape, CLASSES - 1)
 
 
 def volume(batch=2, geometry=GRID):
@@ -61,50 +57,43 @@ def test_the_first_logits_are_the_frequencies_of_the_training_frames(geometry):
     counts[0], counts[2], counts[3] = 60_000, 30_000, 10_000
     classifier = make(geometry=geometry)
     classifier.set_class_counts(counts)
-    probabilities = classifier(volume(geometry=geometry), sketched(geometry=geometry)).softmax(1)
+    probabilities = classifier(volume(geometry=geometry)).softmax(1)
     expected = torch.tensor([0.6, 0.0, 0.3, 0.1])[None, :, None, None, None].expand_as(probabilities)
     torch.testing.assert_close(probabilities, expected, atol=1e-3, rtol=0)
 
 
-def test_evidence_decides_free_or_occupied_and_the_frequencies_the_class():
-    classifier, known = make(evidence=True), sketched()
-    probabilities = classifier(volume(), known).softmax(1)
-    torch.testing.assert_close(1 - probabilities[:, 0], known.evidence[:, 0].sigmoid())
+def test_log_odds_decide_free_or_occupied_and_the_frequencies_the_class():
+    classifier, (log_odds, _) = make(), hints()
+    probabilities = classifier(volume(), log_odds).softmax(1)
+    torch.testing.assert_close(1 - probabilities[:, 0], log_odds.sigmoid())
     shares = probabilities[:, 1:] / probabilities[:, 1:].sum(1, keepdim=True)
     torch.testing.assert_close(shares[0], classifier.prior_shares.exp().movedim(-1, 0))
 
 
-def test_pixel_classes_multiply_the_frequencies():
-    classifier, known = make(evidence=True, pixel_classes=True), sketched()
-    probabilities = classifier(volume(), known).softmax(1)[:, 1:]
+def test_class_scores_multiply_the_frequencies():
+    classifier, (log_odds, scores) = make(), hints()
+    probabilities = classifier(volume(), log_odds, scores).softmax(1)[:, 1:]
     shares = probabilities / probabilities.sum(1, keepdim=True)
-    products = classifier.prior_shares.exp().movedim(-1, 0) * known.classes[:, 1:].softmax(1)
+    products = classifier.prior_shares.exp().movedim(-1, 0) * scores.softmax(-1).movedim(-1, 1)
     torch.testing.assert_close(shares, products / products.sum(1, keepdim=True))
 
 
-def test_voxels_that_no_camera_sees_keep_the_frequencies():
-    classifier, known = make(pixel_classes=True), sketched()
-    without = make(pixel_classes=False)
-    without.load_state_dict(classifier.state_dict(), strict=False)
-    unseen = known._replace(classes=torch.zeros_like(known.classes))
-    torch.testing.assert_close(classifier(volume(), unseen), without(volume(), unseen).expand(2, -1, -1, -1, -1))
+def test_equal_scores_keep_the_frequencies():
+    classifier, scores = make(), torch.full((2, *GRID.shape, CLASSES - 1), -1.5)
+    given, without = classifier(volume(), None, scores), classifier(volume())
+    torch.testing.assert_close(given, without.expand(2, -1, -1, -1, -1))
 
 
 def test_the_linear_map_is_added_and_everything_learns():
-    classifier, known, features = make(True, True, zeros=False), sketched(), volume()
-    logits = classifier(features, known)
-    expected = classifier.linear(features) + classifier.start(known).movedim(-1, 1)
+    classifier, known, features = make(zeros=False), hints(), volume()
+    logits = classifier(features, *known)
+    expected = classifier.linear(features) + classifier.start(*known).movedim(-1, 1)
     torch.testing.assert_close(logits, expected)
     logits.square().mean().backward()
     assert all(parameter.grad.abs().sum() > 0 for parameter in classifier.parameters())
 
 
 def test_without_counts_free_is_as_likely_as_all_others_together():
-    probabilities = Classifier(GRID, 3, CLASSES, False, False).start(sketched()).exp().detach()
+    probabilities = Classifier(GRID, 3, CLASSES).start().exp().detach()
     expected = torch.tensor([0.5, *[0.5 / (CLASSES - 1)] * (CLASSES - 1)])
     torch.testing.assert_close(probabilities[0, 0, 0, 0], expected)
-
-
-def test_missing_evidence_is_named():
-    with pytest.raises(ValueError, match="model/sketch=omni"):
-        make(evidence=True)(volume(), sketched()._replace(evidence=None))

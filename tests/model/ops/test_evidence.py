@@ -5,11 +5,10 @@ from omniocc.model.ops.evidence import (
     Sight,
     network_inputs,
     pack_evidence,
-    repack_evidence,
-    required,
     sight_of,
     unpack_evidence,
 )
+from omniocc.model.protocols import Sketched
 
 
 def test_eight_bits_keep_log_odds_to_a_tenth_and_the_sight():
@@ -26,7 +25,9 @@ def test_eight_bits_keep_log_odds_to_a_tenth_and_the_sight():
 
 def test_every_byte_survives_unpacking_and_packing():
     bits = torch.arange(256, dtype=torch.uint8).reshape(1, 4, 8, 8)
-    assert torch.equal(repack_evidence(unpack_evidence(bits)), bits)
+    log_odds, *seen = unpack_evidence(bits).unbind(1)
+    sight = sum(value * one for value, one in zip((Sight.HIT, Sight.PASSED, Sight.HIDDEN), seen, strict=True))
+    assert torch.equal(pack_evidence(log_odds, sight.to(torch.uint8)), bits)
 
 
 def test_log_odds_beyond_the_limit_are_cut_off():
@@ -53,4 +54,4 @@ def test_inputs_of_networks_hold_the_probability_as_well():
 
 def test_a_sketch_without_evidence_is_named():
     with pytest.raises(ValueError, match="its sketch has none: choose model/sketch=omni"):
-        required(None)
+        Sketched(torch.ones(1, 2, 2, 2, dtype=torch.bool)).evidence()

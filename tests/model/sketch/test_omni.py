@@ -53,11 +53,10 @@ def labels(geometry, batch=2):
 
 def test_it_is_a_sketch(geometry, fisheye):
     sketch = make(geometry)
-    candidates, evidence, classes = sketch(
-        torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1
-    )
-    assert evidence.shape == (2, 4, *geometry.shape)
-    assert classes is None
+    images, range_m = torch.rand(2, 6, 3, 4, 4), torch.rand(2, 12, 24) * 20 + 1
+    candidates, bits = sketch(images, (fisheye, fisheye), range_m)
+    assert bits.shape == (2, *geometry.shape)
+    assert bits.dtype == torch.uint8
     assert isinstance(sketch, Sketch)
     assert learns(type(sketch))
     assert candidates.shape == (2, *geometry.shape)
@@ -244,7 +243,8 @@ def test_fraction_takes_the_likeliest_of_each_sample():
 def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
     sketch = make(geometry)
     range_m, valid = scene()
-    candidates, evidence, _ = sketch.hand_on(range_m, valid)
+    sketched = sketch.hand_on(range_m, valid)
+    candidates, evidence = sketched.candidates, sketched.evidence()
     logits = sketch.logits(range_m, valid)
     assert torch.equal(candidates, sketch.select(logits))
     expected = (logits[:, 1] - logits[:, 0]).clamp(-6.3, 6.3)

@@ -9,7 +9,7 @@ from omniocc.camera import Rig
 from omniocc.errors import UserError
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
 from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
-from omniocc.model.ops.padded import Rigs
+from omniocc.model.ops.padded import Images, Rigs
 
 
 class Truth(PanoramaDepth):
@@ -17,9 +17,7 @@ class Truth(PanoramaDepth):
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
-    def forward(
-        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
-    ) -> DepthMap:
+    def forward(self, images: Images, rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None) -> DepthMap:
         """Return the true range; it is not valid in the sky (inf) or where it is nan.
 
         Raises:

@@ -12,7 +12,7 @@ from omniocc.model.ops.blocks import coarsened, repeat_blocks
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
 from omniocc.model.ops.visible import CENTRE
-from omniocc.model.protocols import Sketched, sketched_blocks
+from omniocc.model.protocols import Sketched
 
 
 class CoarseColoring(nn.Module):
@@ -50,11 +50,6 @@ class CoarseColoring(nn.Module):
         grid = coarsened(geometry, self.block)
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors, evidence)
 
-    @property
-    def evidence(self) -> nn.Module | None:
-        """Return the map of the sketch's evidence into the queries; None if they do not use it."""
-        return self.coloring.evidence
-
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the blocks that hold candidates."""
-        return repeat_blocks(self.coloring(features, sketched_blocks(sketched, self.block), rigs), self.block)
+        return repeat_blocks(self.coloring.color_blocks(features, sketched, rigs, self.block), self.block)

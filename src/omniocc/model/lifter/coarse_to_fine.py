@@ -113,7 +113,7 @@ class CoarseToFine(nn.Module):
     ) -> Float[Tensor, "B C x y z"]:
         coloring = self.colorings[scale]
         assert isinstance(coloring, Coloring)
-        return coloring.color(features, Sketched(there), rigs, start)
+        return coloring.color(features, there, rigs, start=start)
 
 
 def cells_to_split(

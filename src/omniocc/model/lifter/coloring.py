@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.blocks import block_any, block_means
 from omniocc.model.ops.deformable_attention import (
     Level,
     SampledAttention,
@@ -17,9 +18,11 @@ from omniocc.model.ops.deformable_attention import (
     ring_offsets,
     transposed,
 )
-from omniocc.model.ops.evidence import INPUTS, network_inputs, required
+from omniocc.model.ops.evidence import INPUTS, network_inputs
 from omniocc.model.ops.feedforward import AttentionLayer
+from omniocc.model.ops.lenses import Lens, taken_for
 from omniocc.model.ops.padded import FeatureMaps, crop, in_batch_order
+from omniocc.model.ops.padding import Axes
 from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import CENTRE, Pairs, every_cell, group_samples, marked_cells
 from omniocc.model.protocols import Sketched
@@ -45,6 +48,7 @@ class Coloring(nn.Module):
         anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
             The points are split among them at no extra cost. A camera is attended to if it sees one of them.
         evidence: whether queries also start from the sketch's evidence.
+        lens: what the cameras are taken for, see `omniocc.model.ops.lenses`.
 
     Raises:
         ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
@@ -63,6 +67,7 @@ class Coloring(nn.Module):
         feedforward_channels: int,
         anchors: Sequence[Sequence[float | int]] = CENTRE,
         evidence: bool = False,
+        lens: Lens = "own",
     ):
         super().__init__()
         if not anchors or points % len(anchors):
@@ -70,6 +75,7 @@ class Coloring(nn.Module):
         if any(len(anchor) != 3 or max(map(abs, anchor)) > 0.5 for anchor in anchors):
             raise ValueError(f"anchors are {list(anchors)}; each must be three numbers from -0.5 to 0.5")
         self.geometry = geometry
+        self.lens: Lens = lens
         self.channels = channels
         self.strides = list(levels)
         self.points = points
@@ -92,23 +98,25 @@ class Coloring(nn.Module):
         Raises:
             ValueError: if a rig has more cameras or larger images than there are maps for, or there is no evidence.
         """
-        return self.color(features, sketched, rigs, None)
+        evidence = None if self.evidence is None else sketched.evidence()
+        return self.color(features, sketched.candidates, taken_for(self.lens, rigs), evidence)
 
     def color(
         self,
         features: FeatureMaps,
-        sketched: Sketched,
+        candidates: Bool[Tensor, "B X Y Z"],
         rigs: tuple[Rig, ...],
-        start: Float[Tensor, "B C X Y Z"] | None,
+        evidence: Float[Tensor, "B 4 X Y Z"] | None = None,
+        start: Float[Tensor, "B C X Y Z"] | None = None,
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Do what `forward` does, from queries that know more than their position.
+        """Do what `forward` does, from queries that may know more than their position.
 
         The features `start` of all voxels are added to the embeddings of the queries, and to the vector of the voxels
         that are no candidates.
         """
-        marked, evidence = sketched.candidates.flatten(1), None
-        if self.evidence is not None:
-            evidence = network_inputs(required(sketched.evidence)).flatten(2).transpose(1, 2)
+        marked = candidates.flatten(1)
+        if evidence is not None:
+            evidence = network_inputs(evidence).flatten(2).transpose(1, 2)
         rows = None if start is None else start.flatten(2).transpose(1, 2)
         groups = group_samples(rigs, marked, evidence)
         parts = []
@@ -119,6 +127,13 @@ class Coloring(nn.Module):
             parts.append(self._color(maps, marked[first], *inputs, rigs[first]))
         # channels last in memory, which is fast in 3D convolutions
         return in_batch_order(parts, groups).unflatten(1, self.geometry.shape).movedim(-1, 1)
+
+    def color_blocks(
+        self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...], block: Axes
+    ) -> Float[Tensor, "B C x y z"]:
+        """Colour blocks of a finer grid's voxels, from their mean evidence; those with a candidate are candidates."""
+        evidence = None if self.evidence is None else block_means(sketched.evidence(), block)
+        return self.color(features, block_any(sketched.candidates, block), rigs, evidence)
 
     def _color(
         self,

@@ -10,7 +10,7 @@ from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import coarsened
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
-from omniocc.model.protocols import Sketched, sketched_blocks
+from omniocc.model.protocols import Sketched
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
@@ -65,13 +65,8 @@ class Pillar(nn.Module):
         )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
-    @property
-    def evidence(self) -> nn.Module | None:
-        """Return the map of the sketch's evidence into the queries; None if they do not use it."""
-        return self.coloring.evidence
-
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift each sample through its own rig."""
-        view = self.coloring(features, sketched_blocks(sketched, self.block), rigs)[..., 0]
+        view = self.coloring.color_blocks(features, sketched, rigs, self.block)[..., 0]
         # channels last in memory, which is fast in 3D convolutions
         return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

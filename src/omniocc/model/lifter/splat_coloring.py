@@ -11,6 +11,7 @@ from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import Interval, LiftSplat
 from omniocc.model.ops.blocks import as_block, block_means, coarsened, repeat_blocks
+from omniocc.model.ops.lenses import Lens, taken_for
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Pointwise
 from omniocc.model.protocols import Sketched
@@ -34,6 +35,7 @@ class SplatColoring(nn.Module):
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.
+        lens: what the cameras are taken for, see `omniocc.model.ops.lenses`.
 
     Raises:
         ValueError: if the grid does not divide into blocks, or as `LiftSplat` and `Coloring`.
@@ -52,9 +54,11 @@ class SplatColoring(nn.Module):
         heads: int,
         points: int,
         feedforward_channels: int,
+        lens: Lens = "own",
     ):
         super().__init__()
         self.channels, self.block = channels, as_block(block)
+        self.lens: Lens = lens
         grid = coarsened(geometry, self.block)
         self.splat = LiftSplat(geometry, in_channels, channels, levels, bins, range_m)
         self.query = Pointwise(channels, in_channels)
@@ -63,10 +67,11 @@ class SplatColoring(nn.Module):
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift each sample through its own rig."""
+        rigs = taken_for(self.lens, rigs)
         volume = self.splat(features, sketched, rigs)
         queries = self.query(block_means(volume, self.block))
         everywhere = torch.ones(len(queries), *queries.shape[2:], dtype=torch.bool, device=queries.device)
-        found = self.found(self.coloring.color(features, Sketched(everywhere), rigs, queries))
+        found = self.found(self.coloring.color(features, everywhere, rigs, start=queries))
         return volume + repeat_blocks(found, self.block)
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:

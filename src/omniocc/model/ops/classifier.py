@@ -10,9 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.classes import FREE
 from omniocc.geometry import Grid
-from omniocc.model.ops.evidence import LOG_ODDS, required
 from omniocc.model.ops.padding import Pointwise
-from omniocc.model.protocols import Sketched
 
 SMOOTHING = 20.0
 """Frames by which the counts of a voxel's neighbours count in its own."""
@@ -23,16 +21,13 @@ FIRST_WEIGHTS = 0.01
 class Classifier(nn.Module):
     """Add a linear map of the voxels' features to a start: the log-probabilities of the classes before training.
 
-    The start has the frequencies of the classes in each voxel of the training frames. With evidence, the sketch's
-    probability takes the place of the frequency of being occupied. With pixel classes, the class of an occupied voxel
-    starts as the product of its frequency there and what the 2D head sees there. How much each of the two counts is
-    learned for each class.
+    The start has the frequencies of the classes in each voxel of the training frames. Hints may put a probability of
+    their own in the place of the frequency of being occupied, and multiply the frequencies of the occupied classes. How
+    much a frequency counts is learned for each class.
 
     Args:
         channels: of the volume.
         num_classes: of voxels, free included.
-        evidence: whether the sketch's evidence is used.
-        pixel_classes: whether the 2D head's classes at the voxels are used.
 
     Attributes:
         COUNTED: names of the buffers that are counted in the training frames, not learned.
@@ -42,15 +37,13 @@ class Classifier(nn.Module):
     prior_log_odds: Tensor
     prior_shares: Tensor
 
-    def __init__(self, geometry: Grid, channels: int, num_classes: int, evidence: bool, pixel_classes: bool):
+    def __init__(self, geometry: Grid, channels: int, num_classes: int):
         super().__init__()
         self.geometry = geometry
-        self.use_evidence = evidence
         self.linear = Pointwise(channels, num_classes)
         nn.init.normal_(self.linear.weight, std=FIRST_WEIGHTS)
         nn.init.zeros_(self.linear.bias)
         self.prior_weight = nn.Parameter(torch.ones(num_classes - 1))
-        self.pixel_weight = nn.Parameter(torch.ones(num_classes - 1)) if pixel_classes else None
         self.register_buffer("prior_log_odds", torch.zeros(geometry.shape))
         self.register_buffer("prior_shares", torch.zeros(*geometry.shape, num_classes - 1))
 
@@ -61,18 +54,22 @@ class Classifier(nn.Module):
         self.prior_log_odds.copy_(torch.log(occupied[1] / occupied[0]))
         self.prior_shares.copy_(smoothed_fractions(counts[FREE + 1 :], rings).log().movedim(0, -1))
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B K X Y Z"]:
-        """Return logits; raise ValueError if evidence is used and the sketch has none."""
-        return self.linear(volume) + self.start(sketched).movedim(-1, 1)
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], *hints: Tensor | None) -> Float[Tensor, "B K X Y Z"]:
+        """Return logits; hints are those of `start`."""
+        return self.linear(volume) + self.start(*hints).movedim(-1, 1)
 
-    def start(self, sketched: Sketched) -> Float[Tensor, "B X Y Z K"]:
-        """Return the log-probabilities before any feature of the images is used."""
-        log_odds = required(sketched.evidence)[:, LOG_ODDS] if self.use_evidence else self.prior_log_odds[None]
+    def start(
+        self, log_odds: Float[Tensor, "B X Y Z"] | None = None, class_scores: Float[Tensor, "B X Y Z O"] | None = None
+    ) -> Float[Tensor, "B X Y Z K"]:
+        """Return the log-probabilities before any feature of the images is used.
+
+        Args:
+            log_odds: of being occupied; None: those of the training frames.
+            class_scores: of the occupied classes, added to the logarithms of their frequencies; None: nothing is.
+        """
+        log_odds = self.prior_log_odds[None] if log_odds is None else log_odds
         scores = self.prior_weight * self.prior_shares[None]
-        if self.pixel_weight is not None:
-            assert sketched.classes is not None
-            seen = sketched.classes.movedim(1, -1)[..., FREE + 1 :].float()
-            scores = scores + self.pixel_weight * seen.log_softmax(-1)
+        scores = scores if class_scores is None else scores + class_scores
         occupied = scores.log_softmax(-1) + F.logsigmoid(log_odds)[..., None]
         free = F.logsigmoid(-log_odds)[..., None]
         return torch.cat([free.expand(*occupied.shape[:-1], 1), occupied], dim=-1)

@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from omniocc.errors import UserError
-
 LOG_ODDS = 0
 """Channel of the evidence with the log-odds of being occupied."""
 CHANNELS = 4
@@ -46,12 +44,6 @@ def unpack_evidence(bits: UInt8[Tensor, "*B X Y Z"]) -> Float[Tensor, "*B 4 X Y 
     return torch.stack([level * (2 * LIMIT / STEPS) - LIMIT, *seen], dim=-4)
 
 
-def repack_evidence(evidence: Float[Tensor, "*B 4 X Y Z"]) -> UInt8[Tensor, "*B X Y Z"]:
-    """Return the eight bits of every voxel, from which `unpack_evidence` makes the same evidence."""
-    log_odds, hit, passed, hidden = evidence.unbind(-4)
-    return pack_evidence(log_odds, (hit * Sight.HIT + passed * Sight.PASSED + hidden * Sight.HIDDEN).to(torch.uint8))
-
-
 def sight_of(hit: Bool[Tensor, "*B"], known: Float[Tensor, "*B"], gap: Float[Tensor, "*B"]) -> UInt8[Tensor, "*B"]:
     """Return the `Sight` of voxels.
 
@@ -69,10 +61,3 @@ def network_inputs(evidence: Float[Tensor, "B 4 X Y Z"]) -> Float[Tensor, "B 5 X
     """Return the evidence as input of a network, every channel within -2.1 to 2.1; probabilities are added."""
     log_odds = evidence[:, LOG_ODDS : LOG_ODDS + 1]
     return torch.cat([log_odds / 3, log_odds.sigmoid(), evidence[:, LOG_ODDS + 1 :]], dim=1)
-
-
-def required(evidence: Tensor | None) -> Tensor:
-    """Return the evidence; raise UserError if the sketch hands none on."""
-    if evidence is None:
-        raise UserError("this model uses the sketch's evidence, and its sketch has none: choose model/sketch=omni")
-    return evidence

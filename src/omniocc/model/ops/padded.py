@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -21,7 +21,15 @@ FeatureMaps = list[Float[Tensor, "B N C _ _"]]
 Rigs = tuple[Rig, ...]
 """One rig per sample."""
 
+Images = UInt8[Tensor, "... N 3 H W"] | Float[Tensor, "... N 3 H W"]
+"""RGB of frames or windows of frames, 0..255 as uint8 or in [0, 1] as floats."""
+
 Key = TypeVar("Key", bound=Hashable)
+
+
+def to_unit_range(images: Images) -> Float[Tensor, "..."]:
+    """Return RGB in [0, 1]; floats are returned as they are."""
+    return images if images.is_floating_point() else images.float() / 255
 
 
 class ImageShape(NamedTuple):

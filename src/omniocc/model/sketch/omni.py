@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
-from omniocc.model.ops.evidence import pack_evidence, sight_of, unpack_evidence
+from omniocc.model.ops.evidence import pack_evidence, sight_of
 from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
 from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
@@ -127,8 +127,7 @@ class Omni(nn.Module):
     def hand_on(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
         """Return candidates and evidence from a panorama of ranges; invalid ranges are ignored."""
         logits, sight = self._logits_and_sight(range_m, valid)
-        bits = pack_evidence(log_odds(logits), sight)
-        return Sketched(self.select(logits), unpack_evidence(bits))
+        return Sketched(self.select(logits), pack_evidence(log_odds(logits), sight))
 
     def _logits_and_sight(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import DepthMap, check_images, per_rig, weighted_sum
 from omniocc.model.ops.depth.spheres import SphereRange, Spheres
-from omniocc.model.ops.padded import Rigs, crop, shape_groups
+from omniocc.model.ops.padded import Images, Rigs, crop, shape_groups, to_unit_range
 
 
 class PanoramaDepth(nn.Module):
@@ -34,14 +34,13 @@ class PanoramaDepth(nn.Module):
         """Return depth from RGB in [0, 1], for samples of one rig without padding."""
         raise NotImplementedError
 
-    def forward(
-        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
-    ) -> DepthMap:
-        """Return depth from RGB in [0, 1]; the true range is ignored.
+    def forward(self, images: Images, rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None) -> DepthMap:
+        """Return depth from RGB; the true range is ignored.
 
         Raises:
             ValueError: if images and rigs do not fit together, or images hold NaN.
         """
+        images = to_unit_range(images)
         check_images(images, rigs)
         return per_rig(rigs, lambda rig, samples: self.estimate(crop(images[samples], rig), rig))
 
