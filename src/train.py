@@ -125,7 +125,11 @@ def train_occupancy(
     trainer = build(
         cfg.trainer,
         **validation_times(cfg.trainer),
-        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.spec.classes, score_of(data))],
+        callbacks=[
+            duration := TrainingTime(),
+            *map(build, cfg.callbacks.values()),
+            *callbacks(cfg, run, title, data.spec.classes, score_of(data)),
+        ],
         plugins=[AtomicCheckpointIO()],
         logger=files,
         default_root_dir=str(run.path),

@@ -21,7 +21,7 @@ def package(tmp_path_factory):
     """Write the files of the page; return the folder that holds the package."""
     folder = tmp_path_factory.mktemp("outside")
     files = dict(FILE.findall(PAGE.read_text()))
-    assert len(files) == 13
+    assert len(files) == 15
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,7 +35,7 @@ def run(script, *arguments, package, cwd, allowed="mylib"):
 
 def test_the_commands_of_the_page_train_every_part_and_a_source(package, data_root, tmp_path):
     listed = COMMAND.findall(PAGE.read_text())
-    assert len(listed) == 6
+    assert len(listed) == 7
     for number, arguments in enumerate(listed):
         arguments = arguments.replace("/home/me", str(package)).split()
         own_depth = any(word.startswith(("model/sketch=", "model/depth=")) for word in arguments)
@@ -44,7 +44,8 @@ def test_the_commands_of_the_page_train_every_part_and_a_source(package, data_ro
         paths = [f"paths.data={data_root}", f"name=run{number}"]
         result = run("train.py", *arguments, *more, *SMALL, *paths, package=package, cwd=tmp_path, allowed=allowed)
         assert result.returncode == 0, result.stdout + result.stderr
-        assert list(tmp_path.glob(f"runs/run{number}-*/metrics.json"))
+        (results,) = tmp_path.glob(f"runs/run{number}-*/metrics.json")
+        assert ("test/precision" in results.read_text()) == ("+callbacks=precision" in arguments)
     assert len(list(tmp_path.glob("runs/stages/depth-*/metrics.json"))) == 1
 
     (checkpoint,) = tmp_path.glob("runs/run0-*/last.ckpt")

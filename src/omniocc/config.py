@@ -135,6 +135,7 @@ GROUPS = (
     "optimizer",
     "augment",
     "appearance",
+    "callbacks",
     "trainer",
     "logger",
     "paths",
@@ -144,7 +145,7 @@ GROUPS = (
 NAMES = ("name", "preset.name", "logger.group")
 """Keys whose values files, folders and groups of runs are called by."""
 NOT_OF_TRAINER = {
-    "callbacks": "train.py makes the callbacks; it has no key for more",
+    "callbacks": "an own callback is an entry of the root key callbacks, +callbacks=<option>",
     "logger": "train.py makes the loggers: choose by logger.mode=...",
     "plugins": "train.py makes the plugins",
     "default_root_dir": "a run lives in <paths.runs>/<name>-<hash>",
