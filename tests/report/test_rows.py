@@ -95,4 +95,4 @@ def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs
     assert "Counted in the row whose configuration they have: demo-0123abcd (ours)." in sweep.remark
     (table,) = (table for table in sweep.tables if table.number == 2)
     head, lines = table_cells(table, sweep.rows)
-    assert {line[0]: line[-1] for line in lines}["Seeds"] == "1", head[-1]
+    assert {line[0]: dict(zip(head, line, strict=True)) for line in lines}["Seeds"]["OmniDepth-Occ, here"] == "1"
