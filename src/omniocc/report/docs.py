@@ -188,9 +188,9 @@ def claims_csv(sweep: Sweep) -> str:
 
 
 def documented(sweep: Sweep) -> Sweep:
-    """Return a sweep with what the tables say of the runs of the documentation."""
-    tables = [table._replace(note=f"{table.note} {table.here}".strip()) for table in sweep.tables]
-    return sweep._replace(tables=tables)
+    """Return a sweep with the tables of the documentation, and what they say of its runs."""
+    tables = [table._replace(note=f"{table.note} {table.here}".strip()) for table in sweep.tables if table.page]
+    return sweep._replace(tables=tables, longer=[documented(longer) for longer in sweep.longer])
 
 
 def results_block(sweep: Sweep) -> list[str]:

@@ -41,6 +41,15 @@ def test_a_list_has_the_order_of_the_rig(tmp_path):
     assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [Frame("", (paths[0], None))]
 
 
+def test_a_list_of_files_named_as_the_cameras_may_have_any_order(tmp_path):
+    front, back = (save(tmp_path / name) for name in ("front.png", "back.png"))
+    (frame,) = find_frames([str(back), str(front)], RIG)
+    assert frame.files == (front, back)
+    assert list(remarks([frame], RIG)) == []
+    (frame,) = find_frames([str(save(tmp_path / "a.png")), str(back)], RIG)
+    assert list(remarks([frame], RIG)) == ["images    front=a.png, back=back.png"]
+
+
 def test_an_image_of_no_camera_of_the_rig_is_told(tmp_path):
     paths = [save(tmp_path / name) for name in ("front.png", "back.png")]
     assert ignored_images(find_frames(str(tmp_path), RIG), RIG) == ""

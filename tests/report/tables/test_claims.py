@@ -178,6 +178,15 @@ def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_
         assert found.size == pytest.approx(min(1, 4 * found.claim.p_size))
 
 
+def test_a_table_of_ones_own_is_a_family_by_itself():
+    mine = SKETCH._replace(name="mine", page="", claims=[("random", "dense"), ("mono", "dense")])
+    runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.20, 0.25), "random": row("random", 0.1, 0.3)}
+    alone = judged([SKETCH], runs)
+    both = judged([SKETCH, mine], runs)
+    assert {name: both[name] for name in alone} == alone
+    assert len(both) > len(alone)
+
+
 def test_a_judge_decides_only_the_claims_in_its_scores():
     """A copy of the table in mIoU has four claims more, of own voxels alone."""
     printed = [entry._replace(paper={"test/voxel/miou": entry.paper[OWN]}) for entry in SKETCH.rows]

@@ -40,7 +40,7 @@ def find_frames(
 
     Args:
         images: a folder with one image per camera, named as the camera; or a folder of such folders, one per frame;
-            or one file per camera, in the rig's order.
+            or one file per camera, in the rig's order, or in any where all are named as the cameras.
         rig: the cameras.
         excluded: names of the cameras to leave out; their files may be missing.
         image_bits: how many of the bits of images of 16 are used; None: not known.
@@ -90,6 +90,8 @@ def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> Frame:
     if len(paths) != len(rig.names):
         names = ", ".join(rig.names)
         raise UserError(f"{len(paths)} images for {len(rig.names)} cameras; give one each, in this order: {names}")
+    named = {path.stem: path for path in paths}
+    paths = [named[name] for name in rig.names] if set(named) == set(rig.names) else paths
     for path, name in zip(paths, rig.names, strict=True):
         if not path.is_file() and name not in excluded:
             raise UserError(f"there is no image {path} (camera '{name}')")
@@ -127,7 +129,10 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def remarks(frames: Sequence[Frame], rig: Rig) -> Iterator[str]:
-    """Yield lines about images that are not used, and about cameras whose lens model cannot be that of their images."""
+    """Yield lines about listed images of other names, images not used, and lens models that cannot be those of images."""
+    files = dict(zip(rig.names, frames[0].files, strict=True))
+    if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
+        yield "images    " + ", ".join(f"{name}={file.name}" for name, file in files.items() if file is not None)
     if line := ignored_images(frames, rig):
         yield line
     yield from lenses_that_do_not_fit(rig)

@@ -213,9 +213,17 @@ def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
 def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> dict[Name, Judged]:
     """Return all claims by both metrics with their adjusted p-values; `paired` as in `claims_of`.
 
-    The family of a metric has every claim of the tables once, though it may stand in several, and also those whose rows
-    have not run yet, which count as not rejected.
+    The tables of the documentation are a family together, each other table is one of its own: a table that a user adds
+    changes no verdict on the paper. The family of a metric has every claim of its tables once, though it may stand in
+    several, and also those whose rows have not run yet, which count as not rejected.
     """
+    found: dict[Name, Judged] = {}
+    for family in ([table for table in tables if table.page], *([table] for table in tables if not table.page)):
+        found = _judged_in(family, rows, paired) | found
+    return found
+
+
+def _judged_in(tables: Sequence[PaperTable], rows: Rows, paired: bool) -> dict[Name, Judged]:
     found: dict[Name, Judged] = {}
     for judge in JUDGES:
         claims = claims_of(tables, rows, judge, paired)

@@ -40,13 +40,15 @@ DIFFERENCES = (
     "paper's voxels and trains the occupancy stage for 2.8 epochs, not 40."
 )
 REMARKS = (
-    "Metrics: voxel RayIoU (`test/rayiou`) is the paper's; surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
-    "surfaces. Symbols: ✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric "
-    f"(opposite sign, or a gain of the paper's size excluded); ❓ undecided; {NOT_TESTED} not run or not tested.",
+    "✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric (opposite sign, or a gain of "
+    f"the paper's size excluded); ❓ undecided, too few seeds; {NOT_TESTED} not run or not tested; {SAME} both methods "
+    "have as many steps anyway.",
+    "Metrics: voxel RayIoU (`test/rayiou`) is the paper's. Surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
+    "surfaces.",
     "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
     "share networks of a seed are compared within seeds, so that a gap can differ from these scores in the last digit.",
     "Equal budget: methods without training of depth and sketch train for as many steps as OmniDepth-Occ "
-    f"in all, and BEVDet learns from true ranges too; {SAME} marks two methods that have as many steps anyway.",
+    "in all, and BEVDet learns from true ranges too.",
 )
 WHY = "Why claims do not hold here, or stay undecided:"
 AGAIN = f"`{COMMAND}` writes this again from the records of the runs, without training."
