@@ -40,8 +40,8 @@ DIFFERENCES = (
     "paper's voxels and trains the occupancy stage for 2.8 epochs, not 40."
 )
 REMARKS = (
-    "✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric (opposite sign, or a gain of "
-    f"the paper's size excluded); ❓ undecided, too few seeds; {NOT_TESTED} not run or not tested; {SAME} both methods "
+    "✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric (opposite sign, or a gain "
+    f"of the paper's size excluded); ❓ undecided, too few seeds; {NOT_TESTED} not run or not tested; {SAME} both methods "
     "have as many steps anyway.",
     "Metrics: voxel RayIoU (`test/rayiou`) is the paper's. Surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
     "surfaces.",
