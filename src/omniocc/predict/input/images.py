@@ -129,7 +129,7 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def remarks(frames: Sequence[Frame], rig: Rig) -> Iterator[str]:
-    """Yield lines about images that are listed by other names, about those not used, and about lenses that do not fit."""
+    """Yield lines about images listed by other names, images that are not used, and lens models that do not fit."""
     files = dict(zip(rig.names, frames[0].files, strict=True))
     if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
         yield "images    " + ", ".join(f"{name}={file.name}" for name, file in files.items() if file is not None)
