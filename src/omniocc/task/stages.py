@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import cast
+from time import time
+from typing import Any, cast
 
 import torch
 from filelock import FileLock, Timeout
@@ -34,9 +35,11 @@ from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
+from omniocc.run.cost import PEAK, peak_mib
 from omniocc.run.distributed import is_first, meet, share
-from omniocc.run.folder import IMAGES, METRICS, git_commit
-from omniocc.run.results import MINUTES, load_results, save_results
+from omniocc.run.folder import IMAGES, METRICS, command_line, git_commit
+from omniocc.run.machine import MACHINE, machine
+from omniocc.run.results import FINISHED, MINUTES, load_results, save_results, utc_text
 from omniocc.run.slots import uses_evidence
 from omniocc.run.wandb.loggers import finish
 from omniocc.task.build import bare_trainer
@@ -160,14 +163,16 @@ class Stages:
         trainer.save_checkpoint(last)
         meet()
         if trainer.is_global_zero:
-            self._save_figures(stage, metrics, trainer, recipe.seed, duration.minutes)
+            device = trainer.strategy.root_device
+            facts = {"seed": recipe.seed, MINUTES: duration.minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
+            self._save_figures(stage, metrics, facts | {"steps": trainer.global_step})
             finish(trainer.loggers)
 
-    def _save_figures(self, stage: str, metrics: dict[str, float], trainer: Trainer, seed: int, minutes: float) -> None:
+    def _save_figures(self, stage: str, metrics: dict[str, float], facts: dict[str, Any]) -> None:
         """Write the figures of a stage with facts about its training; they mark it as finished."""
-        facts = {"run": self.folders[stage].name, "steps": trainer.global_step, "seed": seed, "commit": git_commit()}
-        facts |= {MINUTES: minutes, "data": self.fingerprint}
-        save_results(self.results[stage], metrics, facts)
+        about = {"run": self.folders[stage].name, "preset": self.cfg.preset.name, "command": command_line()}
+        about |= {"commit": git_commit(), "data": self.fingerprint, FINISHED: utc_text(time())}
+        save_results(self.results[stage], metrics, about | facts)
 
     def _trainer(self, recipe: Recipe, callbacks: Sequence[Callback], folder: Path, stage: str, title: str) -> Trainer:
         if is_first():
