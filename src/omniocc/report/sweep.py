@@ -31,6 +31,8 @@ from omniocc.run.folder import METRICS
 from omniocc.run.robustness import Robustness, read_robustness
 from omniocc.run.rows import known_rows, table_files
 
+NAMED = 12
+"""Most rows that a remark names."""
 POWER = "power.yaml"
 """File of standard deviations between seeds, beside the tables."""
 
@@ -93,7 +95,9 @@ class Sweep(NamedTuple):
         """Return sentences on the runs of the report, and on those left out, missing or unfinished."""
         own = list(self.rows.values())
         others = {name: runs for name, runs in self.lengths.items() if not any(runs is rows for rows in own)}
-        missing = [f"Not run: {', '.join(self.not_run)}."] if self.not_run else []
+        absent = self.not_run
+        more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
+        missing = [f"Not run: {', '.join(absent[:NAMED])}{more}."] if absent else []
         begun = [f"Begun, not finished: {', '.join(self.unfinished)}."] if self.unfinished else []
         return [self.remark, *mixtures(dict(self.rows) | others), *missing, *begun]
 
