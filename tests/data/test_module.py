@@ -158,6 +158,16 @@ def test_scores_have_the_bands_that_were_asked_for(root):
     assert [metric.counter.range_edges_m for metric in (scores.rays, scores.lidar)] == [(0, 20, 50)] * 2
 
 
+def test_the_rays_of_voxel_rayiou_are_as_many_as_asked_for(root):
+    own, few = make(root), make(root, ray_azimuths=10)
+    scores = Scores(few.geometry, few.spec)
+    assert own.spec.ray_directions is None
+    assert scores.rays.counter.scan.directions.shape == (390, 3)
+    assert "390 rays" in scores.rays.protocol()
+    with pytest.raises(ValueError, match="ray_azimuths must be at least 1, got 0"):
+        make(root, ray_azimuths=0)
+
+
 def test_lidar_hits_count_up_to_the_last_band(root):
     grid = Cylinder(shape=(100, 4, 2), radius_m=(0.0, 50.0), height_m=(-2.8, 3.6))
     hits = [make(root, grid=grid, range_edges_m=edges).spec for edges in (None, [0, 50])]

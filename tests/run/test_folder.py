@@ -68,7 +68,8 @@ def test_the_times_of_validation_decide_the_best_checkpoint_and_no_earlier_stage
 
 
 @pytest.mark.parametrize(
-    "words", ["seed=1", "trainer.precision=bf16-mixed", "data.batch_size=1", "data.range_edges_m=[0,9]"]
+    "words",
+    ["seed=1", "trainer.precision=bf16-mixed", "data.batch_size=1", "data.range_edges_m=[0,9]", "data.ray_azimuths=36"],
 )
 def test_what_changes_a_result_decides(words, smoke):
     assert run_hash(plain(smoke()), "data") != run_hash(plain(smoke(words)), "data")

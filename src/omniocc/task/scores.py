@@ -69,7 +69,8 @@ class Scores(nn.Module):
         names, edges_m = spec.classes.names, spec.range_edges_m
         shared = {"range_edges_m": edges_m, "class_names": names, "fine_thresholds_m": FINE_M}
         ray_iou = partial(RayIoU, grid, self.num_classes, **shared)
-        self.rays, self.lidar = ray_iou(split_origins=True), ray_iou(directions=spec.lidar_directions)
+        self.rays = ray_iou(split_origins=True, directions=spec.ray_directions)
+        self.lidar = ray_iou(directions=spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=names)
         self.part_cells = [(name, cells_between(grid, x_m, y_m)) for name, x_m, y_m in parts]
         self.parts = nn.ModuleList([VoxelIoU(self.num_classes, class_names=names) for _ in parts])

@@ -59,6 +59,7 @@ class SourceSpec:
         lidar_directions: unit rays of the LiDAR, which starts in the ego origin. None: every frame has its own rays,
             or there is no LiDAR.
         benchmark: the dataset's own protocol. None: scores are computed on the grid of the model.
+        ray_directions: unit rays of voxel RayIoU; None: the public 39 x 360.
     """
 
     classes: ClassTable
@@ -67,6 +68,7 @@ class SourceSpec:
     road_z_m: float | None
     lidar_directions: Float64[Tensor, "R 3"] | None
     benchmark: Benchmark | None = None
+    ray_directions: Float64[Tensor, "D 3"] | None = None
 
     def __post_init__(self) -> None:
         """Check the bands; raise ValueError if they are fewer than one or do not increase."""
