@@ -94,3 +94,10 @@ def test_what_tells_a_replaced_run_from_the_newer_one_is_said(runs, tmp_path):
     (other / "config.yaml").write_text(yaml.safe_dump(config | {"loss": {"weights": {"ranges": 1.0}}}))
     os.utime(other / "metrics.json", (1, 1))
     assert "ours-0000000a (of another loss.weights.ranges than ours-00000001)" in comparable_of(folder)[1]
+
+
+def test_a_folder_whose_name_cannot_be_written_is_left_out(runs, tmp_path, capsys):
+    for name in ("ours-00000001", os.fsdecode(b"m\xff-00000001")):
+        shutil.copytree(runs / "ours-00000001", tmp_path / name)
+    assert [run.name for run in read_runs(tmp_path)] == ["ours-00000001"]
+    assert r"a run's folder is named 'm\udcff-00000001', which cannot be written" in capsys.readouterr().err
