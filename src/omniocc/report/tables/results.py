@@ -40,9 +40,9 @@ DIFFERENCES = (
     "paper's voxels and trains the occupancy stage for 2.8 epochs, not 40."
 )
 REMARKS = (
-    "✅ holds on both metrics; ☑ on the paper's metric only; ❌ refuted on the paper's metric (opposite sign, or a "
-    f"gain of the paper's size excluded); ❓ undecided, too few seeds; {NOT_TESTED} not run or not tested; {SAME} both "
-    "methods have as many steps anyway.",
+    "✅ holds on both metrics. ☑ holds on the paper's metric only. ❌ is refuted on the paper's metric: the sign is "
+    "opposite, or a gain of the paper's size is excluded. ❓ is undecided, with too few seeds. "
+    f"{NOT_TESTED} has not run or was not tested. {SAME} marks methods with equal numbers of steps.",
     "Metrics: voxel RayIoU (`test/rayiou`) is the paper's. Surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
     "surfaces.",
     "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
