@@ -4,12 +4,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from omniocc.config import build, compose_config
+from omniocc.config import compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.source import SPLITS
 from omniocc.errors import DataError
+from omniocc.parts import Parts
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.view import save_png
 from omniocc.view.data_sheet import data_sheet
@@ -27,7 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     if min(options.frames, options.workers) < 0:
         parser.error("--frames and --workers must be 0 or more")
     quiet_libraries()
-    data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides).data)
+    data = Parts(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides)).data()
     data.source.prepare()
     for split in SPLITS:
         scenes = data.source.scenes(split)

@@ -5,12 +5,13 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, check
+from omniocc.config import check
 from omniocc.data.source import SPLITS
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.folder import SceneFolder
 from omniocc.errors import UserError
-from omniocc.record.carla.recorder import CarlaRecorder
+from omniocc.parts import Parts
+from omniocc.record import Checks
 from omniocc.run.script import quiet_libraries, script
 
 
@@ -19,9 +20,9 @@ def main(cfg: DictConfig) -> None:
     """Check the configuration and record, or check a CARLA server."""
     quiet_libraries()
     check(OmegaConf.masked_copy(cfg, ["recorder"]))
-    recorder = build(cfg.recorder)
+    recorder = Parts(cfg).recorder()
     if cfg.check:
-        if not isinstance(recorder, CarlaRecorder):
+        if not isinstance(recorder, Checks):
             raise UserError("check=true asks a CARLA server: it needs recorder=carla")
         report(recorder)
         return
@@ -41,7 +42,7 @@ def covers_splits(folder: Path) -> bool:
     return all(any(name.startswith(f"{split}-") for name in names) for split in SPLITS)
 
 
-def report(recorder: CarlaRecorder) -> None:
+def report(recorder: Checks) -> None:
     """Print every assumption with pass or fail; exit with 1 if one fails."""
     findings = recorder.check()
     for finding in findings:

@@ -5,12 +5,13 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from omegaconf import DictConfig
 
 from omniocc.classes import WORLD_CLASSES
-from omniocc.config import build, check
+from omniocc.config import check
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import fraction_table
 from omniocc.data.recording.budget import announcement, begun, size
@@ -18,6 +19,7 @@ from omniocc.data.recording.job import ScenePlan
 from omniocc.data.store.check import survey, survey_scene
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
+from omniocc.parts import Parts
 from omniocc.progress import clock
 from omniocc.run.script import script
 
@@ -29,11 +31,9 @@ def main(cfg: DictConfig) -> None:
     """Check the configuration and build the world; then render it, read it back or draw a page."""
     if "frames_per_scene" not in cfg.data.source:
         raise UserError("render.py renders only scenes of the virtual world: leave data=... out")
-    whole_length = cfg.data.source.frames_per_scene
-    if cfg.frames is not None:
-        cfg.data.source.frames_per_scene = cfg.frames
     check(cfg.data.source)
-    world = build(cfg.data.source)
+    whole_length = cfg.data.source.frames_per_scene
+    world = cast(VirtualWorld, Parts(cfg).source(frames_per_scene=whole_length if cfg.frames is None else cfg.frames))
     plans = selected(world.plans, cfg.first_scene, cfg.scenes)
     if cfg.check:
         read_back(world, plans)

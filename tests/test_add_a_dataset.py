@@ -56,7 +56,7 @@ def test_the_code_of_the_page_reads_checks_and_trains(tmp_path):
     assert [script for script, _ in commands] == ["check.py", "train.py"]
     more = {
         "check.py": ["preset=tiny", "--workers", "0"],  # cells of 1.6 m, as of smoke, would leave none of the voxels
-        "train.py": ["preset=smoke", "logger.mode=disabled", "test_images=0", "trainer.max_steps=2",
+        "train.py": ["preset=smoke", "logger.mode=disabled", "test_images=0", "stages.occupancy.max_steps=2",
                      "stages.depth.max_steps=2", "stages.sketch.max_steps=2"],
     }  # fmt: skip
     for script, arguments in commands:

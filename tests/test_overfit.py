@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from omniocc.config import build
+from omniocc.parts import Parts
 from omniocc.task import Muon
 from omniocc.task.build import build_task
 from omniocc.task.scores import Scores
@@ -28,7 +29,7 @@ def test_one_frame_is_learned_by_heart(model, data_root, smoke):
     data.prepare_data()
     data.setup()
     batch = next(iter(data.val_dataloader()))
-    task = build_task(cfg, data.source.spec)
+    task = build_task(Parts(cfg), data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     optimizer = Muon(1e-2, 0, 0.0, 1.0).configure(task.model, MOST_STEPS)["optimizer"]
     scores = []

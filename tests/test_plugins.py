@@ -12,7 +12,13 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how_to" / "own_modules.md"
 FILE = re.compile(r"^`([\w/.]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^python src/train\.py (.*)$", re.MULTILINE)
-SMALL = ["preset=smoke", "logger.mode=disabled", "test_images=0", "trainer.max_steps=2", "stages.depth.max_steps=2"]
+SMALL = [
+    "preset=smoke",
+    "logger.mode=disabled",
+    "test_images=0",
+    "stages.occupancy.max_steps=2",
+    "stages.depth.max_steps=2",
+]
 pytestmark = [pytest.mark.slow, pytest.mark.whole_runs]
 
 

@@ -12,7 +12,7 @@ from scripts import run_script
 from omniocc.report.wandb.dashboard import sections
 
 ROOT = Path(__file__).parents[1]
-TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
+TWELVE_STEPS = ("stages.occupancy.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
 pytestmark = [pytest.mark.slow, pytest.mark.whole_runs]
 
 
@@ -105,7 +105,9 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
 
 
 def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):
-    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "test_images=0", "name=damaged")
+    arguments = smoke(
+        data_root, "stages.occupancy.max_steps=2", "checkpoint_every_n_steps=1", "test_images=0", "name=damaged"
+    )
     whole = run_script("train.py", *arguments, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     (folder,) = tmp_path.glob("runs/damaged-*")
@@ -139,7 +141,7 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
 
 @pytest.mark.slow(60)
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
-    arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
+    arguments = smoke(data_root, "model/sketch=omni", "stages.occupancy.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "test_images=1"]
     depth = run_script("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
     assert depth.returncode == 0, depth.stdout + depth.stderr
@@ -309,7 +311,9 @@ def test_mistakes_in_the_last_stage_are_reported_before_the_first_trains(tmp_pat
     ],
 )
 def test_swapped_modules_train(overrides, tmp_path, data_root):
-    result = run_script("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "test_images=0"), cwd=tmp_path)
+    result = run_script(
+        "train.py", *smoke(data_root, *overrides, "stages.occupancy.max_steps=2", "test_images=0"), cwd=tmp_path
+    )
     assert result.returncode == 0, result.stdout + result.stderr
 
 

@@ -16,7 +16,7 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, compose_config
+from omniocc.config import compose_config
 from omniocc.data import VirtualWorld
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
@@ -24,6 +24,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.metric import DepthMetrics
+from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
@@ -71,7 +72,7 @@ def config_of(recipe: dict[str, Any]) -> DictConfig:
 def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:
     """Return the folder of a recipe's finished run or stage, and the name of its checkpoint."""
     cfg = config_of(recipe)
-    fingerprint = build(cfg.data).source.fingerprint
+    fingerprint = Parts(cfg).source().fingerprint
     if recipe["stage"] == "occupancy":
         config = OmegaConf.to_container(cfg, resolve=True)
         return runs / f"{cfg.name}-{run_hash(config, fingerprint)}", BEST  # type: ignore[arg-type]
@@ -93,7 +94,7 @@ def record_frames(recipe: dict[str, Any], folder: Path) -> None:
         return
     counts = {"train_scenes": 0, "val_scenes": 0, "test_scenes": 2, "frames_per_scene": 2}
     with tempfile.TemporaryDirectory() as place:
-        source: VirtualWorld = build(config_of(recipe).data.source, root=place, **counts)
+        source = cast(VirtualWorld, Parts(config_of(recipe)).source(root=place, **counts))
         source.prepare()
         shutil.copytree(source.folder, folder, ignore=shutil.ignore_patterns(".*"))
 

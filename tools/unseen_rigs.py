@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.drawn import car_places, rig_at, ring_places
-from omniocc.config import build, compose_config
+from omniocc.config import compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
 from omniocc.data.labels.counts import all_frames
@@ -26,6 +26,7 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.metric import Calibration, DepthMetrics
 from omniocc.model.depth import DepthMap
+from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.progress import Progress
 from omniocc.run.script import quiet_libraries
@@ -133,7 +134,7 @@ def score(model: nn.Module, data: OccupancyData, without: int | None = None) -> 
 
 def data_of(overrides: list[str]) -> OccupancyData:
     """Return the data of a configuration, rendered."""
-    data: OccupancyData = build(compose_config(ROOT / "conf", "train", overrides).data)
+    data = Parts(compose_config(ROOT / "conf", "train", overrides)).data()
     data.prepare_data()
     return data
 

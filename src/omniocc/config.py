@@ -9,7 +9,7 @@ import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException, InstantiationException
@@ -22,6 +22,7 @@ from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
 from omniocc.urls import credentials_problem
 
+Options = TypeVar("Options")
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
 VERSION_BASE = "1.3"
@@ -152,6 +153,9 @@ NOT_OF_TRAINER = {
     "enable_progress_bar": "progress is printed in any case",
     "enable_checkpointing": "a run goes on from its checkpoints",
     "fast_dev_run": "preset=smoke trains a few steps of everything",
+    "max_steps": "the last stage ends by stages.occupancy.max_steps",
+    "max_epochs": "the last stage ends by stages.occupancy.max_epochs",
+    "check_val_every_n_epoch": "the last stage is validated by stages.occupancy.validate_every_n_epochs",
 }
 """Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
 
@@ -244,6 +248,17 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
 def refused_key(error: InstantiationException) -> str:
     """Return the key of the node that could not be built, empty where Hydra does not name it."""
     return str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else ""
+
+
+def as_options(kind: type[Options], key: str, values: Mapping[str, Any]) -> Options:
+    """Return the options of a command: a dataclass, compared with its types; `key` names them in messages.
+
+    Raises:
+        ConfigError: with every option that is unknown, missing or of the wrong type, or that the class refuses.
+    """
+    node = OmegaConf.create({key: {"_target_": f"{kind.__module__}.{kind.__name__}", **values}})
+    check(node)
+    return build(node[key])
 
 
 def plain(cfg: DictConfig) -> dict[str, Any]:

@@ -11,12 +11,12 @@ import numpy as np
 from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
-from omniocc.config import build, compose_config
-from omniocc.data import OccupancyData
+from omniocc.config import compose_config
 from omniocc.data.origins import Origins
 from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write
 from omniocc.model.protocols import takes_true_range
+from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
 from omniocc.report.tables.formats import parts_text
 from omniocc.report.tables.robustness import report_parts, robustness_csv
@@ -153,7 +153,7 @@ def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(trained.path), "commit": git_commit(), "data": data.source.fingerprint}
     facts |= {OVERRIDES: list(options.overrides), PROTOCOL: task.protocol}
-    save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
+    save_by_scene(folder, task.scores, data.source, task.counted)
     save_results(folder, metrics, facts)
     show_results(folder)
 
@@ -162,7 +162,7 @@ def score_robustness(options: Evaluation) -> None:
     """Score checkpoints under disturbances; write and log the results, print the comparison."""
     logging = [word for word in options.overrides if word.startswith("logger.")]
     others = [word for word in options.overrides if word not in logging]
-    logger: Loggers = build(compose_config(CONF, "train", logging).logger)
+    logger: Loggers = Parts(compose_config(CONF, "train", logging)).loggers()
     records: list[Robustness] = []
 
     def score(checkpoint: Path) -> None:
@@ -208,8 +208,7 @@ def score_predictions(options: Evaluation) -> None:
     """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
     folder = options.predictions
     assert folder is not None
-    data: OccupancyData = build(compose_config(CONF, "train", options.overrides).data)
-    source = data.source
+    source = Parts(compose_config(CONF, "train", options.overrides)).data().source
     source.prepare()
     metrics, protocol = score_files(source, folder, origins=options.origins)
     output = options.output or folder.with_name(f"{folder.name}-scores{options.suffix}")

@@ -47,7 +47,7 @@ def until(found, within_s: float = 240.0):
 
 def test_two_rows_finish_and_one_that_cannot_is_shown_in_a_line(slurm, shared_data, tmp_path):
     shapes = "model.geometry.shape=[16,20,4],[8,20,4],[0,20,4]"
-    result = multirun(slurm, tmp_path, shared_data, "trainer.max_steps=2", shapes)
+    result = multirun(slurm, tmp_path, shared_data, "stages.occupancy.max_steps=2", shapes)
     assert result.returncode == 1, result.stdout + result.stderr
     assert "2 of 3 jobs finished" in result.stdout
     said = [line for line in result.stdout.splitlines() if line.startswith("failed")]
@@ -62,7 +62,7 @@ def test_two_rows_finish_and_one_that_cannot_is_shown_in_a_line(slurm, shared_da
 
 
 def test_a_job_that_is_told_to_stop_is_queued_again_and_loses_no_step(slurm, shared_data, tmp_path):
-    steps = ["trainer.max_steps=400", "checkpoint_every_n_steps=1000", "trainer.limit_val_batches=1"]
+    steps = ["stages.occupancy.max_steps=400", "checkpoint_every_n_steps=1000", "trainer.limit_val_batches=1"]
     whole = multirun(slurm, tmp_path, shared_data, *steps, "name=whole")
     assert whole.returncode == 0, whole.stdout + whole.stderr
     arguments = command(shared_data, *steps, "name=stopped")
@@ -87,7 +87,7 @@ def test_a_job_that_is_told_to_stop_is_queued_again_and_loses_no_step(slurm, sha
 
 def test_at_its_time_limit_a_job_saves_and_is_queued_again(slurm, shared_data, tmp_path):
     limit = ["hydra.launcher.timeout_min=3", "hydra.launcher.signal_delay_s=60"]
-    endless = ["trainer.max_steps=1000000", "checkpoint_every_n_steps=1000000", "trainer.limit_val_batches=1"]
+    endless = ["stages.occupancy.max_steps=1000000", "checkpoint_every_n_steps=1000000", "trainer.limit_val_batches=1"]
     with (tmp_path / "said").open("w") as said:
         process = subprocess.Popen(
             command(shared_data, *limit, *endless), env=slurm, cwd=tmp_path, stdout=said, stderr=said
@@ -104,7 +104,7 @@ def test_at_its_time_limit_a_job_saves_and_is_queued_again(slurm, shared_data, t
 
 def test_a_row_of_two_tasks_trains_one_model(slurm, shared_data, tmp_path):
     two = ["trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp", "hydra.launcher.tasks_per_node=2"]
-    result = multirun(slurm, tmp_path, shared_data, *two, "trainer.max_steps=2", "data.batch_size=1")
+    result = multirun(slurm, tmp_path, shared_data, *two, "stages.occupancy.max_steps=2", "data.batch_size=1")
     assert result.returncode == 0, result.stdout + result.stderr
     (path,) = tmp_path.glob(f"runs/train-*/{METRICS}")
     assert json.loads(path.read_text())["steps"] == 2

@@ -14,7 +14,13 @@ SMOKE = ("preset=smoke", "logger.mode=disabled", "test_images=0")
 @pytest.mark.whole_runs
 @pytest.mark.slow(30)
 def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
-    overrides = ["model/sketch=dense", "trainer.max_steps=2", "data.batch_size=1", "seed=4", f"paths.data={data_root}"]
+    overrides = [
+        "model/sketch=dense",
+        "stages.occupancy.max_steps=2",
+        "data.batch_size=1",
+        "seed=4",
+        f"paths.data={data_root}",
+    ]
     distributed = ["trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp"]
     result = run_script("train.py", "--multirun", *SMOKE, *overrides, *distributed, cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr

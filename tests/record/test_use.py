@@ -10,9 +10,10 @@ from made_scenes import write_checkpoint
 
 from omniocc.config import build, check_root, plain
 from omniocc.data import DataError, SceneReader
+from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.task.build import switch_off_head
+from omniocc.task.build import fitting
 from omniocc.task.depth import DepthTask
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
@@ -43,7 +44,7 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     recorder(lidar_option("npz"), "road_z_m=-2.0").record(tmp_path)
     cfg, data = data_of(smoke, tmp_path, classes=2)
     data.prepare_data()
-    assert "no classes of pixels" in switch_off_head(cfg, data.source.scenes("train"))
+    assert "no classes of pixels" in str(fitting(Parts(cfg), data.source.scenes("train"))[1])
     data.read_only(data.needs["train"]._replace(panorama=True, camera_ranges=True), data.needs["test"])
     data.setup()
     batch = next(iter(data.train_dataloader()))

@@ -17,6 +17,7 @@ def test_the_hash_depends_only_on_what_decides_the_result():
         "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}},
         "data": {},
         "depth": {"spheres": 8},
+        "stages": {"depth": {"max_steps": 1}, "occupancy": {"max_steps": 2}},
         "paths": {"runs": "a"},
         "resume": "auto",
     }
@@ -24,21 +25,28 @@ def test_the_hash_depends_only_on_what_decides_the_result():
     assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
     assert run_hash(config, "data") != run_hash(config, "other data")
     assert run_hash(config, "data") == run_hash({**config, "depth": {"spheres": 9}}, "data"), "nothing looks at depth"
+    stages = {**config["stages"], "depth": {"max_steps": 9}}
+    assert run_hash(config, "data") == run_hash({**config, "stages": stages}, "data")
+    stages = {**config["stages"], "occupancy": {"max_steps": 9}}
+    assert run_hash(config, "data") != run_hash({**config, "stages": stages}, "data")
     learned = {**config, "model": {"sketch": {"_target_": "omniocc.model.sketch.Omni"}}}
     assert run_hash(learned, "data") != run_hash({**learned, "depth": {"spheres": 9}}, "data")
 
 
 def test_the_file_of_weights_that_a_run_starts_from_is_part_of_its_hash(tmp_path):
     config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {}}
+
+    def hashed(weights):
+        return run_hash({**config, "stages": {"occupancy": {"weights": weights}}}, "data")
+
     files = [tmp_path / name for name in ("a.ckpt", "b.ckpt", "c.ckpt")]
     for path, content in zip(files, ("one", "one", "two"), strict=True):
         path.write_text(content)
-    none, *given = [run_hash({**config, "weights": path and str(path)}, "data") for path in (None, *files)]
-    assert none == run_hash(config, "data"), "runs from before there was this key keep their folders"
+    none, *given = [hashed(path and str(path)) for path in (None, *files)]
     assert given[0] == given[1] != given[2]
     assert none not in given
     with pytest.raises(FileNotFoundError, match=r"weights=gone\.ckpt: .*no such checkpoint"):
-        run_hash({**config, "weights": "gone.ckpt"}, "data")
+        hashed("gone.ckpt")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +89,8 @@ def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):
     hashes = []
     for number in (1, 1, 2):
         (tmp_path / "ownpart.py").write_text(f"class Bottom:\n    layers = {number}\n")
-        hashes.append(run_hash({"model": {"sketch": {"_target_": "ownpart.Bottom"}}, "data": {}}, "data"))
+        config = {"model": {"sketch": {"_target_": "ownpart.Bottom"}}, "data": {}, "stages": {"occupancy": {}}}
+        hashes.append(run_hash(config, "data"))
     assert hashes[0] == hashes[1] != hashes[2]
 
 

@@ -24,7 +24,9 @@ def explained(*overrides: str) -> list[str]:
     [
         (["model.channelz=3"], "model.channelz: there is no such key", "model.lifter.channels"),
         (["n_jobs=0"], "n_jobs: there is no such key", "hydra.launcher.n_jobs"),
-        (["trainer.max_step=3"], "trainer.max_step: there is no such key", "trainer.max_steps"),
+        (["stages.depth.max_step=3"], "stages.depth.max_step: there is no such key", "stages.depth.max_steps"),
+        (["trainer.max_steps=3"], "trainer.max_steps: the last stage ends by stages.occupancy.max_steps", ""),
+        (["trainer.max_epochs=3"], "trainer.max_epochs: the last stage ends by stages.occupancy.max_epochs", ""),
         (
             ["trainer.detect_anomaly=true"],
             "trainer.detect_anomaly: there is no such key",

@@ -1,6 +1,6 @@
 import pytest
 
-from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
+from omniocc.run.plan import Amount, hours_line, validation_times
 
 
 @pytest.mark.parametrize(
@@ -16,9 +16,9 @@ from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_ti
     ],
 )
 def test_steps_samples_and_epochs(arguments, line):
-    assert plan_line(*arguments) == line
-    steps = planned_steps(*arguments)
-    assert line.startswith("without end" if steps is None else f"{steps} steps")
+    amount = Amount(*arguments)
+    assert amount.line == line
+    assert line.startswith("without end" if amount.steps is None else f"{amount.steps} steps")
 
 
 def test_hours():
@@ -31,14 +31,14 @@ def test_hours():
     ("changes", "expected"),
     [
         ({}, {"check_val_every_n_epoch": None, "val_check_interval": 200}),
-        ({"accumulate_grad_batches": 4}, {"check_val_every_n_epoch": None, "val_check_interval": 800}),
+        ({"accumulated": 4}, {"check_val_every_n_epoch": None, "val_check_interval": 800}),
         ({"max_steps": 12}, {"check_val_every_n_epoch": None, "val_check_interval": 3}),
         ({"max_steps": 7}, {"check_val_every_n_epoch": None, "val_check_interval": 7}),
         ({"max_steps": -1, "max_epochs": 40}, {"check_val_every_n_epoch": 1}),
         ({"max_epochs": 2}, {"check_val_every_n_epoch": 1}),
-        ({"check_val_every_n_epoch": 3}, {"check_val_every_n_epoch": 3}),
+        ({"every_n_epochs": 3}, {"check_val_every_n_epoch": 3}),
     ],
 )
 def test_the_end_of_training_is_validated(changes, expected):
-    plain = {"max_steps": 1000, "max_epochs": None, "accumulate_grad_batches": 1, "check_val_every_n_epoch": None}
-    assert validation_times(plain | changes) == expected
+    plain = {"max_steps": 1000, "max_epochs": None, "accumulated": 1, "every_n_epochs": None}
+    assert validation_times(**plain | changes) == expected

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from omniocc.parts import Parts
 from omniocc.task.build import build_task
 
 
@@ -10,6 +11,6 @@ from omniocc.task.build import build_task
 def make_task(smoke, spec):
     def make(*overrides):
         torch.manual_seed(0)
-        return build_task(smoke(*overrides), spec)
+        return build_task(Parts(smoke(*overrides)), spec)
 
     return make

@@ -5,27 +5,27 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from omniocc.config import build
 from omniocc.errors import UserError
-from omniocc.geometry import Cuboid
-from omniocc.task.build import check_changes, check_devices, check_places, line_on_lifter
+from omniocc.parts import Parts
+from omniocc.predict.trained import check_changes, check_places
+from omniocc.task.build import check_devices, line_on_lifter
 
 
 def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
-    check_devices(smoke().trainer)
+    check_devices(Parts(smoke()))
     if torch.cuda.is_available():
         pytest.skip("this machine has a GPU")
     with pytest.raises(UserError) as caught:
-        check_devices(smoke("trainer.accelerator=gpu").trainer)
+        check_devices(Parts(smoke("trainer.accelerator=gpu")))
     assert str(caught.value).startswith("trainer.accelerator=gpu trainer.devices=1 trainer.strategy=auto: this machine")
     assert "\n" not in str(caught.value)
 
 
 def test_a_value_that_the_trainer_does_not_take_is_named(smoke):
     with pytest.raises(UserError, match=r"^trainer.limit_val_batches=-3.0: the trainer cannot do that"):
-        check_devices(smoke("trainer.limit_val_batches=-3.0").trainer)
+        check_devices(Parts(smoke("trainer.limit_val_batches=-3.0")))
 
 
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
@@ -71,16 +71,15 @@ def test_overrides_of_a_checkpoint_that_do_not_what_they_say_are_refused(overrid
 
 def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):
     def line(*overrides):
-        cfg = smoke("model=flashocc", *overrides)
-        return line_on_lifter(cfg.model.lifter, build(cfg.model.geometry))
+        model = Parts(smoke(*overrides)).model()
+        return line_on_lifter(model.lifter, model.geometry)
 
     far = "model.geometry.x_m=[-50,50]", "model.geometry.y_m=[-50,50]"
-    assert line() is None
-    assert line(*far).startswith("model.lifter.range_m ends at 37 m")
-    assert line(*far, "model.lifter.range_m=[1,71]") is None
-    assert line(*far, "model/lifter=coloring") is None
-    own = OmegaConf.create({"_target_": "mylib.lifter.Lifter", "range_m": 30.0})
-    assert line_on_lifter(own, Cuboid(x_m=(-50.0, 50.0))) is None
+    for model in ("flashocc", "fosocc", "adaptiveocc"):
+        assert line(f"model={model}") is None
+        assert line(f"model={model}", *far).startswith("model.lifter.range_m ends at 37 m")
+        assert line(f"model={model}", *far, "model.lifter.range_m=[1,71]") is None
+    assert line("model/geometry=cuboid", *far) is None
 
 
 def test_a_file_does_not_choose_where_data_are_made(tmp_path, monkeypatch, smoke):

@@ -156,7 +156,7 @@ def train(folder, task, max_steps, checkpoint=None):
     return remember
 
 
-EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.9", "trainer.max_steps=4")
+EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.9", "stages.occupancy.max_steps=4")
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Everything that runs on a GPU keeps its tensors there: tried on a simulated second device."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +17,9 @@ from omniocc.model.ops.static import static_shapes
 from omniocc.predict.predictor import Input, Predictor, predict_depth
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.task.depth import DepthTask
+from omniocc.task.every_frame import Leaves
 from omniocc.task.stage_task import step_generator
-from omniocc.task.stages import Stages, predict_range_m
+from omniocc.task.stages import predict_range_m
 
 MODEL = Path(__file__).parents[2] / "conf" / "model"
 CUDA = torch.device("cuda", 0)
@@ -143,16 +143,12 @@ class Scene:
         return 2
 
 
-def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path, device, monkeypatch):
+def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path, device):
     cfg = smoke("model/sketch=omni")
-    stages = Stages.__new__(Stages)
-    stages.cfg, stages.scenes = cfg, [Scene()]
-    trainer = SimpleNamespace(strategy=SimpleNamespace(root_device=CUDA))
-    monkeypatch.setattr("omniocc.task.stages.bare_trainer", lambda _: trainer)
     task = DepthTask(
         build(cfg.depth), build(cfg.stages.depth).optimizer, build(cfg.depth).rig_spheres(RIG), (0.0, 9.0), 0, {}
     )
-    cache, seen = RangeCache(tmp_path, (12, 48)), []
+    cache, scene, seen = RangeCache(tmp_path, (12, 48)), Scene(), []
 
     def predict(task, rig, images, true_range_m):
         seen.append((tagged(images), true_range_m))
@@ -161,8 +157,10 @@ def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path,
     def read(scene, frame):
         return torch.randint(0, 256, (6, 3, 36, 64), dtype=torch.uint8), None
 
-    stages._fill(task, [cache], read, predict, "ranges")
+    leaves = Leaves("ranges", [scene], [cache], read, predict)
+    assert leaves.missing() == [scene]
+    leaves.fill(task, CUDA, 0, "depth")
     assert seen == [(True, None)] * 2
-    assert cache.missing(stages.scenes) == []
-    assert cache.read("street", 1).isfinite().any()
+    assert leaves.missing() == []
+    assert cache.read(scene, 1).isfinite().any()
     assert not any(tagged(parameter) for parameter in task.parameters())

@@ -22,7 +22,7 @@ def changed(omni):
 
     def names(*overrides: str) -> list[str]:
         before, after = stage_keys(omni(), "data"), stage_keys(omni(*overrides), "data")
-        return [name for name in before._fields if getattr(before, name) != getattr(after, name)]
+        return [name for name in before._fields[:3] if getattr(before, name) != getattr(after, name)]
 
     return names
 
@@ -53,8 +53,8 @@ def test_a_missing_stage_is_an_error_with_a_remedy(omni):
         ("model.sketch.windows_m=[0,0,0]", ["candidates"]),
         ("model.sketch.threshold=0.4", ["candidates"]),
         ("model/refiner=none", []),
-        ("trainer.max_steps=5", []),
-        ("trainer.check_val_every_n_epoch=2", []),
+        ("stages.occupancy.max_steps=5", []),
+        ("stages.occupancy.validate_every_n_epochs=2", []),
         ("trainer.accelerator=cpu", []),
         ("trainer.devices=2", ["depth", "sketch", "candidates"]),
         ("data.frames_together=2", ["depth", "sketch", "candidates"]),
@@ -69,7 +69,30 @@ def test_keys_depend_only_on_what_decides_the_result(override, expected, changed
 
 
 def test_other_data_is_another_result(omni):
-    assert all(one != other for one, other in zip(stage_keys(omni(), "a"), stage_keys(omni(), "b"), strict=True))
+    one, other = (stage_keys(omni(), data)._asdict() for data in "ab")
+    assert [name for name in one if one[name] != other[name]] == ["depth", "sketch", "candidates"]
+
+
+def test_what_networks_find_that_are_used_as_they_are_does_not_depend_on_the_data(omni, tmp_path):
+    """One more scene does not compute all panoramas again."""
+    (weights := tmp_path / "last.ckpt").write_text("weights")
+    as_it_is = [[f"stages.{stage}.weights={weights}", f"stages.{stage}.max_steps=0"] for stage in ("depth", "sketch")]
+
+    def found(*overrides, data="a"):
+        return stage_keys(omni(*overrides), data)[3:]
+
+    assert found() == found("stages.depth.max_steps=0") == found(*as_it_is[1]) == (None,) * 3
+    ranges, *none = found(*as_it_is[0])
+    assert ranges is not None
+    assert none == [None, None]
+    assert found("model/depth=sweep")[0] is not None, "which has no weights"
+    both = found(*as_it_is[0], *as_it_is[1])
+    assert None not in both
+    assert both == found(*as_it_is[0], *as_it_is[1], "seed=3", "trainer.gradient_clip_val=1.0", data="b")
+    other = found(*as_it_is[0], *as_it_is[1], "model.sketch.threshold=0.4")
+    assert [one == same for one, same in zip(both, other, strict=True)] == [True, True, False]
+    weights.write_text("others")
+    assert not set(both) & set(found(*as_it_is[0], *as_it_is[1]))
 
 
 def test_a_second_process_waits_and_reports_it(tmp_path, monkeypatch, capsys):

@@ -49,8 +49,8 @@ def test_given_weights_stay_when_a_stage_without_training_is_entered_again(tmp_p
     [
         ((), 6, None),
         ((), None, None),
-        (("augment.flip_probability=0.25", "trainer.max_steps=7"), 7, None),
-        ((), 5, "5 steps are done and the training ends after 5; give a larger trainer.max_steps"),
+        (("augment.flip_probability=0.25", "stages.occupancy.max_steps=7"), 7, None),
+        ((), 5, "5 steps are done and the training ends after 5; give a larger stages.occupancy.max_steps"),
         (
             ("optimizer.learning_rate=0.5",),
             6,

@@ -14,6 +14,7 @@ from omniocc.config import plain
 from omniocc.data import SourceSpec
 from omniocc.data.recording.scene import append_frame, finish_scene
 from omniocc.data.store.shard import SceneWriter
+from omniocc.parts import Parts
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.build import build_task
 from omniocc.world.frame import Frame
@@ -60,7 +61,7 @@ def write_scene(folder: Path, spec: SourceSpec, first: int = 0, frames: int = FR
 def write_checkpoint(path: Path, cfg: DictConfig, spec: SourceSpec, seed: int = 3) -> Path:
     """Write a checkpoint of the last stage with random weights, which predict many classes."""
     torch.manual_seed(seed)
-    task = build_task(cfg, spec)
+    task = build_task(Parts(cfg), spec)
     torch.nn.init.normal_(task.model.classifier.linear.weight)
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)

@@ -159,7 +159,7 @@ class WindowDataset(Dataset):
             **(self._lidar(scene, newest) if needs.scores else {}),
             erp_range_m=None if panorama is None else torch.from_numpy(measured(panorama)),
             camera_range_m=None if ranges is None else stack_cameras(ranges, ABSENT["camera_range_m"]),
-            depth_range_m=needs.depth and needs.depth.read(scene.name, newest),
+            depth_range_m=needs.depth and needs.depth.read(scene, newest),
             candidates=needs.candidates and read_frames(needs.candidates, scene, frames),
             evidence=needs.evidence and read_frames(needs.evidence, scene, frames),
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
@@ -225,7 +225,7 @@ def read_window(scene: SceneFrames, frames: Sequence[int]) -> UInt8[Tensor, "T N
 
 def read_frames(cache: FrameCache, scene: SceneFrames, frames: Sequence[int]) -> Tensor:
     """Return the cached arrays of some frames, stacked."""
-    return torch.stack([cache.read(scene.name, frame) for frame in frames])
+    return torch.stack([cache.read(scene, frame) for frame in frames])
 
 
 def channels_last(images: UInt8[Tensor, "*B C H W"]) -> UInt8[Tensor, "*B H W C"]:

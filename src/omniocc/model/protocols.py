@@ -136,10 +136,12 @@ class Depth(Protocol):
 
     Attributes:
         NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.
+        COMPARES_CAMERAS: whether it finds ranges where two or more cameras look.
         panorama: directions of its pixels.
     """
 
     NEEDS_TRUE_RANGE: ClassVar[bool]
+    COMPARES_CAMERAS: ClassVar[bool]
     panorama: Equirectangular
 
     def rig_spheres(self, rig: Rig) -> Spheres:
@@ -153,7 +155,13 @@ class Depth(Protocol):
 
 @runtime_checkable
 class LearnedDepth(Depth, Learns, Protocol):
-    """A depth option with weights, trained in the depth stage."""
+    """A depth option with weights, trained in the depth stage.
+
+    Attributes:
+        NEEDS_CAMERA_RANGES: whether the losses use the true range of every pixel besides the panorama.
+    """
+
+    NEEDS_CAMERA_RANGES: ClassVar[bool]
 
     def training_terms(
         self,
@@ -172,6 +180,17 @@ class LearnedDepth(Depth, Learns, Protocol):
             camera_range_m: true range of every pixel; None if the data has none.
             generator: source of all random choices, on the CPU.
         """
+        ...
+
+
+@runtime_checkable
+class Calibrates(Protocol):
+    """A depth option whose confidence is fitted to the last validation."""
+
+    def calibrate(
+        self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]
+    ) -> None:
+        """Fit the confidence to rays of this confidence and range, which are right or not."""
         ...
 
 
@@ -233,6 +252,8 @@ class LearnedSketch(Sketch, Learns, Protocol):
 class Lifter(Protocol):
     """Give the voxels of one frame their features.
 
+    A lifter along rays also has `reach_m`, where they end, m.
+
     Attributes:
         channels: of the volume.
     """
@@ -292,7 +313,13 @@ class Refiner(Protocol):
 
 @runtime_checkable
 class SemanticHead(Protocol):
-    """Classify the pixels of a feature map."""
+    """Classify the pixels of a feature map.
+
+    Attributes:
+        CLASSIFIES: whether it does; False: there is no head.
+    """
+
+    CLASSIFIES: ClassVar[bool]
 
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""

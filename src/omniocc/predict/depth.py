@@ -11,8 +11,9 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import build, check
+from omniocc.config import check
 from omniocc.errors import UserError
+from omniocc.parts import Parts
 from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
@@ -54,7 +55,7 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
     """
     if cfg.checkpoint is None:
         check(OmegaConf.create({"depth": OmegaConf.to_container(cfg.depth, resolve=True)}))
-        return build(cfg.depth).eval(), cfg.image_width
+        return Parts(cfg).depth().eval(), cfg.image_width
     overrides = [text.lstrip("+") for text in overrides]
     conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
     if conflicting:

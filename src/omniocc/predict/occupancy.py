@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from omniocc.camera import Rig
-from omniocc.config import build, check
+from omniocc.config import as_options
 from omniocc.data.source import Unknown
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
@@ -44,9 +44,7 @@ def options_of(cfg: DictConfig) -> Options:
         UserError: naming the option that is missing, contradictory or of the wrong type.
     """
     require(cfg, ("checkpoint",), "predict.py occupancy")
-    node = OmegaConf.create({"occupancy": {"_target_": f"{Options.__module__}.Options", **cfg}})
-    check(node)
-    options: Options = build(node.occupancy)
+    options = as_options(Options, "occupancy", {str(key): value for key, value in cfg.items()})
     if (options.images is None) == (options.recorded is None):
         raise UserError("give either images=... (with rig=...), your own images, or recorded=..., recorded scenes")
     if options.images is None and (options.rig or options.poses or options.road_z_m is not None):

@@ -1,7 +1,7 @@
 """From a checkpoint to what was trained: the network, the data, the task that scores it, predictions for arrays."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,12 +13,14 @@ from omegaconf import DictConfig
 from torch import nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import build
 from omniocc.data import OccupancyData
 from omniocc.data.formats.files import check_aspect
+from omniocc.data.source import MadeScenes, SceneSource
+from omniocc.data.store.files import is_url
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
+from omniocc.parts import OF_TASK, Parts
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.options import choose_device, load_rig
 from omniocc.predict.output.voxel_files import raise_grid
@@ -33,11 +35,13 @@ from omniocc.run.checkpoint import (
     load_weights,
     part_weights,
     with_overrides,
-    without_pretrained,
 )
 from omniocc.run.trust import building
 from omniocc.task import OccupancyTask
-from omniocc.task.build import PARTS, build_task, check_changes, check_places
+from omniocc.task.build import build_task
+
+PLACES = ("root", "cache")
+"""Arguments of a data source that name folders or URLs."""
 
 
 class PredictedVoxels(NamedTuple):
@@ -81,7 +85,7 @@ def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequen
         UserError: when it is damaged or of an older version, or an override has no effect.
     """
     content = load_checkpoint(checkpoint)
-    check_changes(content.path, overrides, ("depth", "data", *PARTS))
+    check_changes(content.path, overrides, ("depth", "data", *OF_TASK))
     return Trained(content, with_overrides(content.config, overrides), tuple(overrides), tuple(packages))
 
 
@@ -125,7 +129,7 @@ class Trained:
         own = part_weights(self.checkpoint, "depth")
         self._check("depth")
         with building(self.path, own):
-            depth = build(self.config.depth)
+            depth = self._parts.depth()
         return load_weights(depth, own, self.path, "is it a depth network, are overrides needed?").eval()
 
     @cached_property
@@ -140,17 +144,15 @@ class Trained:
         self._check("model")
         own = self.checkpoint.model_weights
         with building(self.path, own):
-            model = build(without_pretrained(self.config.model))
+            model = self._parts.without_pretrained().model()
         return load_weights(model, own, self.path).eval()
 
     @cached_property
     def task(self) -> OccupancyTask:
         """Return the occupancy model with its losses and scores, in evaluation mode."""
-        model, cfg = self.occupancy, self.config.copy()
-        self._check(*PARTS)
-        cfg.model = without_pretrained(cfg.model)
+        self._check(*OF_TASK)
         with building(self.path, self.checkpoint.weights):
-            task = build_task(cfg, self.data.spec, model)
+            task = build_task(self._parts.without_pretrained(), self.data.spec, self.occupancy)
         return load_weights(task, self.checkpoint.weights, self.path).eval()
 
     @property
@@ -204,7 +206,11 @@ class Trained:
     @cached_property
     def _data(self) -> OccupancyData:
         self._check("data")
-        return build(self.config.data)
+        return self._parts.data()
+
+    @property
+    def _parts(self) -> Parts:
+        return Parts(self.config)
 
     def _check(self, *parts: str) -> None:
         check_parts(self.path, self.config, parts, self.packages)
@@ -222,3 +228,58 @@ def check_images(images: Images, rig: Rig) -> None:
             check_aspect((image.shape[1], image.shape[0]), camera, f"camera '{name}'")
         except DataError as error:
             raise UserError(str(error)) from error
+
+
+def check_places(path: Path, source: SceneSource, given: Collection[str]) -> None:
+    """Check that a file does not choose where data are fetched from or made, except below the working folder.
+
+    Folders that exist are taken as they are, so that runs of this machine find their data again.
+
+    Args:
+        path: of the checkpoint.
+        source: built from its configuration.
+        given: keys that the command line sets, which may be anywhere.
+
+    Raises:
+        UserError: naming the place and the key that allows it.
+    """
+    for key in PLACES:
+        place = getattr(source, key, None)
+        if place is None or f"data.source.{key}" in given:
+            continue
+        inside = not is_url(str(place)) and Path(place).resolve().is_relative_to(Path.cwd())
+        # scenes that are made go into a new folder of root, other sources only read there
+        holds = source.folder if key == "cache" or isinstance(source, MadeScenes) else Path(place)
+        if not inside and (is_url(str(place)) or not holds.exists()):
+            raise UserError(
+                f"{path} names {place} for its data, which is not below this folder and holds no such data; to use "
+                f"it, name it yourself: data.source.{key}={place}"
+            )
+
+
+def check_changes(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *OF_TASK)) -> None:
+    """Check that overrides of a checkpoint's configuration have an effect on `parts`, and only the one that is meant.
+
+    Raises:
+        UserError: naming the override, and what to do instead.
+    """
+    known = ", ".join(parts)
+    for key in (word.partition("=")[0] for word in overrides):
+        part = key.partition(".")[0]
+        if "/" in key:
+            raise UserError(
+                f"{key}: {path} keeps the options that it was trained with; single keys of "
+                f"{known} can be changed, such as data.source.root=..."
+            )
+        if part not in parts:
+            raise UserError(
+                f"{key}: this has no effect on {path}; only keys of {known} can be changed, "
+                "such as data.source.root=..."
+            )
+        if key == part:
+            raise UserError(
+                f"{key}: {path} keeps its {part}, of which single keys can be changed, such as data.source.root=...; "
+                "scenes of another source are scored by python src/predict.py occupancy checkpoint=... recorded=..."
+            )
+        if key.startswith("model.geometry"):
+            raise UserError(f"{key}: {path} was trained on its grid and can have no other")

@@ -17,7 +17,6 @@ from omniocc.config import (
     check,
     foreign_packages,
     plain,
-    target_of,
 )
 from omniocc.data.recording.pool import usable_cores
 from omniocc.errors import UserError, shortened
@@ -172,14 +171,3 @@ def with_overrides(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
     """Return the configuration of a checkpoint with changes (`key=value`) from the command line, resolved."""
     merged = OmegaConf.merge(config, OmegaConf.from_dotlist(list(overrides)))
     return OmegaConf.create(OmegaConf.to_container(merged, resolve=True))  # type: ignore[return-value]
-
-
-def without_pretrained(model: DictConfig) -> DictConfig:
-    """Return the configuration of a model that loads no pretrained weights, since those of a checkpoint replace them.
-
-    A backbone names the arguments that only load weights in `PRETRAINED`; one without it is built as it is.
-    """
-    changed = model.copy()
-    for name in getattr(target_of(model.backbone), "PRETRAINED", ()):
-        changed.backbone[name] = None
-    return changed

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from omniocc.data.dataset import Sample
@@ -61,9 +61,19 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):
         runs.append(lambda: model.choose(images[None], (sample.rigs[-1],)))
-    for run in [*runs, *runs[:1] * (model.temporal.frames - 1)]:  # fills the caches by rig, which belong to no frame
+    for _ in range(model.temporal.frames - 1):  # the window is full when the counted frame comes
+        count_gflop(runs[0])
+    return cost_of_network(model, *runs)
+
+
+def cost_of_network(network: nn.Module, *runs: Callable[[], object]) -> dict[str, float]:
+    """Return the parameters of a network, and the operations of runs that compute a frame together.
+
+    They run twice: the first time makes tables of the rig, which belong to no frame.
+    """
+    for run in runs:
         count_gflop(run)
-    parameters = sum(parameter.numel() for parameter in model.parameters())
+    parameters = sum(parameter.numel() for parameter in network.parameters())
     return {PARAMETERS: round(parameters / 1e6, 3), GFLOP: round(sum(map(count_gflop, runs)), 4)}
 
 

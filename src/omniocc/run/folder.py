@@ -30,6 +30,7 @@ IMAGES, PARTS = "images", "parts"
 VOLATILE = (
     "name",
     "resume",
+    "weights",
     "stage",
     "paths",
     "packages",
@@ -39,7 +40,8 @@ VOLATILE = (
     "plan",
     "preset",
 )
-"""Root keys that do not change what a run computes; numbers of a preset do where a part refers to them."""
+"""Root keys that do not change what a run computes; those that a recipe or a part refers to count there."""
+LAST_STAGE = "occupancy"
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "log_every_n_steps", "enable_model_summary")
 """Keys at any depth that do not change what a run computes: where data lie, and how a machine reads and tells them."""
 DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
@@ -72,9 +74,11 @@ class RunFolder:
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
-    unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
+    unused = () if sketch_learns(config) else ("depth", "appearance")
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
-    return short_hash([with_digest("weights", kept), data_fingerprint, *own_code(kept)])
+    stages = config["stages"] if sketch_learns(config) else {LAST_STAGE: config["stages"][LAST_STAGE]}
+    kept["stages"] = {stage: with_digest(f"stages.{stage}.weights", recipe) for stage, recipe in stages.items()}
+    return short_hash([kept, data_fingerprint, *own_code(kept)])
 
 
 def without_machine(tree: Any) -> Any:

@@ -11,7 +11,7 @@ from hydra.errors import HydraException, InstantiationException, MissingConfigEx
 from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
-from omniocc.config import VERSION_BASE, refused_key
+from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refused_key
 
 NEAREST_KEYS = 3
 NEAR_ENOUGH = 0.6
@@ -48,6 +48,9 @@ def _unknown_option(missing: str, options: Sequence[str]) -> str:
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     """Return the lines about an unknown key; one with a slash is taken for a group."""
+    parent, _, last = key.rpartition(".")
+    if parent == "trainer" and last in NOT_OF_TRAINER:
+        return f"{key}: {NOT_OF_TRAINER[last]}"
     close = nearest(key, groups if "/" in key else [*keys, *groups])
     if close:
         hint = f"; did you mean {' or '.join(close)}?"

@@ -12,6 +12,11 @@ def sketch_learns(config: Mapping[Any, Any]) -> bool:
     return learns(target_of(config["model"]["sketch"]))
 
 
+def depth_learns(config: Mapping[Any, Any]) -> bool:
+    """Return whether the depth option is trained."""
+    return learns(target_of(config["depth"]))
+
+
 def uses_evidence(config: Mapping[Any, Any]) -> bool:
     """Return whether the hints hand the sketch's evidence on, which its stage then stores."""
     hints = config["model"]["hints"]

@@ -13,8 +13,8 @@ from omniocc.data import Appearance
 from omniocc.metric import Calibration, DepthMetrics
 from omniocc.model.depth import DepthMap, Spheres
 from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
-from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.padded import to_unit_range
+from omniocc.model.protocols import Calibrates
 from omniocc.task.adamw import AdamW
 from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
@@ -85,9 +85,9 @@ class DepthTask(StageTask[nn.Module]):
 
     def fit_to_validation(self) -> None:
         """Fit the confidence of a network to the rays of the last validation."""
-        if isinstance(self.model, SphereNet) and len(self.last_judged):
+        if isinstance(self.model, Calibrates) and len(self.last_judged):
             confidence, range_m, right = self.last_judged.unbind(1)
-            self.model.confidence.fit(confidence, range_m, right > 0)
+            self.model.calibrate(confidence, range_m, right > 0)
 
 
 def judged(depth: DepthMap, true_range_m: Float[Tensor, "B h w"]) -> Float[Tensor, "N 3"]:

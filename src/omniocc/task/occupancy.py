@@ -16,6 +16,7 @@ from omniocc.errors import UserError
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import Sketched
+from omniocc.run.scenes import Counted
 from omniocc.task.adamw import AdamW, factor_of
 from omniocc.task.scene_counts import SceneCounts
 from omniocc.task.scores import Scores
@@ -37,6 +38,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         spec: of the data: classes, bands and LiDAR rays of the scores.
         rate_factors: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps its
             weights and its statistics of batch norm.
+        seed: of the random changes.
 
     Raises:
         UserError: when the model has no such part, a factor is negative, or nothing is left to train.
@@ -54,9 +56,10 @@ class OccupancyTask(StageTask[OccupancyModel]):
         spec: SourceSpec,
         config: dict[str, Any],
         rate_factors: Mapping[str, float],
+        seed: int,
     ):
         super().__init__(model, optimizer, config)
-        self.rate_factors = rate_factors
+        self.rate_factors, self.seed = rate_factors, seed
         self.fixed = fixed_parts(model, rate_factors)
         self.train()
         self.loss = loss
@@ -67,6 +70,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.prior_scores = Scores(model.geometry, spec)
         self.label_scores = Scores(model.geometry, spec)
         self.by_scene = SceneCounts(self.scores)
+        self.counted: dict[str, Counted] = {}
+        """Counts of every scene of the last test, of all processes; see `SceneCounts`."""
         self.protocol: dict[str, str] = {}
         """How the scores that were logged last were counted; see `Scores.protocol`."""
         self.prior: Tensor
@@ -108,7 +113,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
-        batch = self.augment(batch, step_generator(self, self.config["seed"], batch_index))
+        batch = self.augment(batch, step_generator(self, self.seed, batch_index))
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 
@@ -143,6 +148,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.protocol = self.scores.protocol()
         rows = {split: self.scores}
         if split == "test":
+            self.counted = self.by_scene.of_all()
             rows |= {"prior": self.prior_scores, "label": self.label_scores}
         for name, scores in rows.items():
             self.log_dict({f"{name}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)

@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 
 from omniocc.config import own_code, plain, target_of
 from omniocc.errors import UserError
-from omniocc.model.protocols import LearnedSketch
+from omniocc.model.protocols import LearnedSketch, learns
 from omniocc.run.folder import OF_MACHINES, short_hash, with_digest
 from omniocc.run.slots import sketch_learns
 
@@ -15,8 +15,8 @@ STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
 """Versions in the hashes: increase one when the same configuration gives other results."""
 
-OVERRULED = ("max_steps", "max_epochs", "check_val_every_n_epoch", "val_check_interval", "strategy", *OF_MACHINES)
-"""Trainer options that a stage sets itself, or that do not change its results."""
+OVERRULED = ("val_check_interval", "strategy", *OF_MACHINES)
+"""Trainer options that do not change the results of depth and sketch."""
 
 
 def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
@@ -35,20 +35,40 @@ def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
 
 
 class Keys(NamedTuple):
-    """Hashes of everything that decides the results of a stage."""
+    """Hashes of everything that decides the results of a stage.
+
+    Attributes:
+        depth: of the depth stage.
+        sketch: of the weights of the sketch stage.
+        candidates: of the candidates that are chosen with them.
+        ranges_of_all: of the ranges of a depth option that is used as it is; None where it is trained.
+        sketched_of_all: of what a sketch finds in these ranges that is used as it is; None where it is trained.
+        candidates_of_all: of the candidates among that.
+    """
 
     depth: str
     sketch: str
     candidates: str
+    ranges_of_all: str | None
+    sketched_of_all: str | None
+    candidates_of_all: str | None
 
 
 def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
-    """Return the hashes for a configuration with a learned sketch."""
+    """Return the hashes for a configuration with a learned sketch.
+
+    Networks that are used as they are give the same for a scene in any data, so that their hashes, those `of_all`, do
+    not depend on the data.
+    """
     config = plain(cfg)
     trainer = _without(config["trainer"], OVERRULED)
     together = config["data"].get("frames_together", 1)  # decides the order of the samples
     trainer |= {} if together == 1 else {"frames_together": together}
-    stages = {stage: with_digest(f"stages.{stage}.weights", recipe) for stage, recipe in config["stages"].items()}
+    stages = {
+        stage: with_digest(f"stages.{stage}.weights", recipe)
+        for stage, recipe in config["stages"].items()
+        if stage in STAGES[:2]
+    }
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
@@ -63,7 +83,19 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     code = own_code([network, stages["sketch"]])
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
     arguments = {name: sketch[name] for name in selection}
-    return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
+    candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])
+    ranges = sketched = candidates = None
+    if _used_as_it_is(stages["depth"]) or not learns(target_of(config["depth"])):
+        weights = stages["depth"].get("weights")
+        ranges = short_hash([VERSIONS["depth"], config["depth"], weights, *own_code(config["depth"])])
+    if ranges and _used_as_it_is(stages["sketch"]):
+        sketched = short_hash([VERSIONS["sketch"], ranges, network, stages["sketch"]["weights"], *own_code(network)])
+        candidates = short_hash([VERSIONS["candidates"], sketched, arguments])
+    return Keys(depth_key, sketch_key, candidates_key, ranges, sketched, candidates)
+
+
+def _used_as_it_is(recipe: Mapping[str, Any]) -> bool:
+    return recipe["max_steps"] == 0 and recipe.get("weights") is not None
 
 
 def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

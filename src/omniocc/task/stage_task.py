@@ -27,17 +27,18 @@ class Recipe:
         max_steps: optimiser steps; -1: as many as `max_epochs` are.
         max_epochs: passes over the training frames; None: as many as `max_steps` are.
         batch_size: samples per process and step.
-        validate_every_n_epochs: passes over the training frames from one validation to the next.
+        validate_every_n_epochs: passes over the training frames from one validation to the next; None: 1, or up to five
+            times at equal distances if steps end the training.
         seed: of weights and order of samples.
         optimizer: settings of AdamW.
         weights: checkpoint, or name of shipped weights, from which the stage starts; None: from random ones. With
-            `max_steps` 0 it is used as it is.
+            `max_steps` 0 depth and sketch use it as it is.
     """
 
     max_steps: int
     max_epochs: int | None
     batch_size: int
-    validate_every_n_epochs: int
+    validate_every_n_epochs: int | None
     seed: int
     optimizer: AdamW
     weights: str | None = None

@@ -1,271 +1,348 @@
-"""The stages before occupancy: depth, then the sketch of candidate voxels.
+"""The three stages: depth, the sketch of candidate voxels, and occupancy.
 
-The results of a stage are in `runs/stages/<stage>-<hash>`: weights, figures, predictions of every frame. The hash
-covers everything that decides them, so that runs share them safely; a lock lets parallel runs wait for one another.
-Candidates are in a subfolder, so that runs that select them in different ways share the weights of the sketch.
+The results of depth and sketch are in `runs/stages/<stage>-<hash>`: weights, figures, predictions of every frame. The
+hash covers everything that decides them, so that runs share them safely; a lock lets parallel runs wait for one
+another. Candidates are in a subfolder, so that runs that select them in different ways share the weights of the sketch.
+What networks predict that are used as they are is beside the stages, and shared by runs on any data.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from time import time
 from typing import Any, cast
 
 import torch
 from filelock import FileLock, Timeout
-from lightning.pytorch import Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback
-from omegaconf import DictConfig, OmegaConf
+from lightning.pytorch import Trainer
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
 
 from omniocc.camera import Rig
 from omniocc.camera.parallax import shared_view
-from omniocc.config import build, plain
+from omniocc.classes import FREE
 from omniocc.data import CandidateCache, EvidenceCache, Needs, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
-from omniocc.data.module import worker_options
 from omniocc.data.source import SPLITS, SceneFrames
-from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
-from omniocc.io import atomic_write
-from omniocc.model.ops.depth.sphere_net import SphereNet
-from omniocc.model.protocols import Depth, learns
-from omniocc.progress import Progress, waiting
+from omniocc.model.protocols import Depth
+from omniocc.parts import Parts
+from omniocc.progress import waiting
 from omniocc.run.checkpoint import load_checkpoint
-from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
-from omniocc.run.cost import PEAK, peak_mib
-from omniocc.run.distributed import is_first, meet, share
-from omniocc.run.folder import IMAGES, METRICS, command_line, git_commit
-from omniocc.run.machine import MACHINE, machine
-from omniocc.run.results import FINISHED, MINUTES, load_results, save_results, utc_text
-from omniocc.run.slots import uses_evidence
-from omniocc.run.wandb.loggers import finish
-from omniocc.task.build import bare_trainer
+from omniocc.run.checkpoint_io import LAST, resumable
+from omniocc.run.cost import cost_of, cost_of_network
+from omniocc.run.distributed import is_first
+from omniocc.run.folder import IMAGES, open_run, run_hash
+from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results
+from omniocc.run.slots import depth_learns, uses_evidence
+from omniocc.run.wandb.loggers import log_earlier_stages
+from omniocc.task.build import build_task
 from omniocc.task.depth import DepthTask
-from omniocc.task.images import DepthImages, SketchImages
-from omniocc.task.last import LastCheckpoint
-from omniocc.task.progress import StepProgress, TrainingTime
+from omniocc.task.every_frame import Leaves
+from omniocc.task.images import DepthImages, OccupancyImages, SketchImages
+from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.sketch import SketchTask, known
-from omniocc.task.stage_keys import stage_keys
-from omniocc.task.stage_task import Recipe, StageTask
-from omniocc.task.start import load_first_weights
-from omniocc.task.stop import StopAtSignal
+from omniocc.task.stage import Place, Stage, say
+from omniocc.task.stage_keys import Keys, stage_keys, wanted_stages
+from omniocc.task.stage_task import StageTask
+from omniocc.task.start import load_first_weights, load_fitting
 
-Task = StageTask[nn.Module]
-Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
-Predict = Callable[..., tuple[Tensor, ...]]
 SHARED_AT_M = 10.0
 """Distance at which the fraction of the view is stated that two or more cameras have in common."""
 LITTLE_SHARED = 0.05
 """Fraction below which it is said that there is little to compare."""
 
 
-class Stages:
-    """Run the missing stages before occupancy.
+class EarlierStage(Stage):
+    """A stage before occupancy; its folder is shared by all runs that need the same results."""
 
-    Args:
-        cfg: checked configuration with a learned sketch.
-        data: of the occupancy stage, prepared; the stages are trained on its scenes and predict for all of them.
-    """
+    @cached_property
+    def keys(self) -> Keys:
+        """Return the hashes of both stages."""
+        return stage_keys(self.parts.cfg, self.data.source.fingerprint)
 
-    def __init__(self, cfg: DictConfig, data: OccupancyData):
-        self.cfg = cfg
-        self.fingerprint, self.spec = data.source.fingerprint, data.spec
-        self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
-        keys = stage_keys(cfg, self.fingerprint)
-        stages = Path(cfg.paths.runs) / "stages"
-        depth, sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
-        panorama = build(cfg.depth).panorama
-        self.ranges = RangeCache(depth / "ranges", (panorama.height, panorama.width))
-        self.candidates = CandidateCache(sketch / f"candidates-{keys.candidates}", data.geometry.shape)
-        self.evidence = EvidenceCache(sketch / "evidence", data.geometry.shape) if uses_evidence(cfg) else None
-        self.folders = {"depth": depth, "sketch": sketch}
-        self.results = {"depth": depth, "sketch": self.candidates.folder}
+    @property
+    def key(self) -> str:  # noqa: D102
+        return getattr(self.keys, self.NAME)
+
+    @property
+    def stages(self) -> Path:
+        """Return the folder of all stages."""
+        return Path(self.parts.cfg.paths.runs) / "stages"
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder of weights and curves."""
+        return self.stages / f"{self.NAME}-{self.key}"
+
+    @property
+    def results(self) -> Path:
+        """Return the folder of the figures."""
+        return self.folder
+
+    @property
+    def scenes(self) -> list[SceneFrames]:
+        """Return the scenes of all splits."""
+        return [scene for split in SPLITS for scene in self.data.source.scenes(split)]
 
     @property
     def finished(self) -> bool:
-        """Return whether both stages have their results."""
-        return all((folder / METRICS).exists() for folder in self.results.values())
+        """Return whether it has been trained and tested."""
+        return Place(self.folder, None, self.results).finished
 
-    def run(self, stage: str, title: str) -> dict[str, float]:
-        """Run a stage if it is missing and return its test figures."""
-        with claimed(self.folders[stage], title) if is_first() else nullcontext():
-            recipe: Recipe = build(self.cfg.stages[stage])
-            seed_everything(recipe.seed, workers=True, verbose=False)
-            if stage == "depth":
-                self._run_depth(recipe, title)
-            else:
-                self._run_sketch(recipe, title)
-        meet()
-        return load_results(self.results[stage])[1]
+    @contextmanager
+    def claimed(self, title: str) -> Iterator[Place]:
+        """Lock the folder in the first process; wait while another run works in it."""
+        with claimed(self.folder, title) if is_first() else nullcontext():
+            checkpoint, message = (None, None) if self.finished or not self.learns else resumable(self.folder / LAST)
+            if message:
+                say(message)
+            yield Place(self.folder, checkpoint, self.results)
 
-    def _run_depth(self, recipe: Recipe, title: str) -> None:
-        model = build(self.cfg.depth)
-        spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
-        edges_m = self.spec.range_edges_m
-        appearance = None if self.cfg.appearance is None else build(self.cfg.appearance)
-        task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg), appearance)
-        drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
-        if learns(type(model)) and recipe.max_steps and self.scenes[0].erp_range_m(0) is None:
+    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:  # noqa: D102
+        return load_first_weights(task.model, self.recipe, self.NAME, checkpoint, task.config)
+
+    def weights(self) -> dict[str, Tensor]:
+        """Return the trained weights of the model."""
+        return load_checkpoint(self.folder / LAST).model_weights
+
+    @abstractmethod
+    def leaves(self) -> Leaves:  # noqa: D102
+        ...
+
+
+class DepthStage(EarlierStage):
+    """The cameras' images to a panorama of ranges, which every frame gets."""
+
+    NAME = "depth"
+
+    def __init__(self, *arguments: Any, **others: Any):
+        super().__init__(*arguments, **others)
+        option = cast(Depth, self.parts.depth())
+        self.panorama, self.needs_true_range = option.panorama, option.NEEDS_TRUE_RANGE
+        self.learns = depth_learns(self.parts.cfg)
+
+    @cached_property
+    def ranges(self) -> RangeCache:
+        """Return the store of the ranges of every frame."""
+        shape, of_all = (self.panorama.height, self.panorama.width), self.keys.ranges_of_all
+        if of_all is None:
+            return RangeCache(self.folder / "ranges", shape)
+        return RangeCache(self.stages / f"ranges-{of_all}", shape, self.data.source.fingerprint)
+
+    def task(self, rig: Rig) -> DepthTask:  # noqa: D102
+        model, recipe, edges_m = self.parts.depth(), self.recipe, self.data.spec.range_edges_m
+        spheres = cast(Depth, model).rig_spheres(rig)
+        appearance = self.parts.appearance()
+        return DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, self.parts.config, appearance)
+
+    def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
+        test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
+        return test._replace(camera_ranges=getattr(task.model, "NEEDS_CAMERA_RANGES", True)), test
+
+    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+        """Load the weights that the recipe names.
+
+        Raises:
+            UserError: when the network has nothing to learn from.
+        """
+        scene = data.dataset("train").scenes[0]
+        if self.learns and self.recipe.max_steps and scene.erp_range_m(0) is None:
             raise UserError(
                 "the training frames have no true ranges, from which depth learns: choose a sketch without depth "
                 "(model/sketch=dense), model/depth=sweep, or depth trained elsewhere (stages.depth.weights=... "
                 "stages.depth.max_steps=0)"
             )
-        if isinstance(model, SphereNet):
-            say(matching_line(shared_view(self.scenes[0].rigs[0], SHARED_AT_M * model.panorama.rays())))
-        test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
-        train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama
-        self._finish(task, recipe, (train, test), drawn, "depth", title, learns(type(model)))
-        if self.cfg.stage == "depth":  # nothing follows that reads the ranges
-            return
-        read = partial(read_depth_inputs, with_range=cast(Depth, model).NEEDS_TRUE_RANGE)
-        self._fill(task, [self.ranges], read, predict_range_m, f"{title}, ranges")
+        if getattr(task.model, "COMPARES_CAMERAS", False):
+            say(matching_line(shared_view(scene.rigs[0], SHARED_AT_M * self.panorama.rays())))
+        return super().begin(task, data, checkpoint)
 
-    def _run_sketch(self, recipe: Recipe, title: str) -> None:
-        task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
-        cast(nn.Module, task.sketch.depth).load_state_dict(load_checkpoint(self.folders["depth"] / LAST).model_weights)
-        test = Needs(pixel_labels=False, scores=False, depth=self.ranges)
-        train = test._replace(images=False)
-        drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
-        self._finish(task, recipe, (train, test), drawn, "sketch", title, trains=True)
+    def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:  # noqa: D102
+        return [DepthImages(place.results / IMAGES, self.parts.cfg.test_images, data.spec.classes)]
+
+    def cost(self, task: StageTask, data: OccupancyData) -> dict[str, float]:  # noqa: D102
+        sample, device = data.dataset("test")[0], next(task.parameters(), torch.empty(0)).device
+        true_range_m = None if sample.erp_range_m is None else sample.erp_range_m[None].to(device)
+        images = sample.images[-1:].to(device)
+        return cost_of_network(task.model, lambda: task.model.eval()(images, sample.rigs[-1:], true_range_m))
+
+    def leaves(self) -> Leaves:  # noqa: D102
+        read = partial(read_depth_inputs, with_range=self.needs_true_range)
+        return Leaves("ranges", self.scenes, [self.ranges], read, predict_range_m)
+
+
+class SketchStage(EarlierStage):
+    """Panoramas of ranges to candidate voxels, which every frame gets, with what the sketch knows of each voxel."""
+
+    NAME = "sketch"
+
+    @property
+    def results(self) -> Path:  # noqa: D102
+        return self.folder / f"candidates-{self.keys.candidates}"
+
+    @property
+    def depth(self) -> DepthStage:
+        """Return the stage before."""
+        return cast(DepthStage, self.before["depth"])
+
+    @cached_property
+    def candidates(self) -> CandidateCache:
+        """Return the store of the candidates of every frame."""
+        shape, of_all = self.data.geometry.shape, self.keys.candidates_of_all
+        if of_all is None:
+            return CandidateCache(self.results, shape)
+        return CandidateCache(self.stages / f"candidates-{of_all}", shape, self.data.source.fingerprint)
+
+    @cached_property
+    def evidence(self) -> EvidenceCache | None:
+        """Return the store of the evidence of every frame; None where nothing reads it."""
+        shape, of_all = self.data.geometry.shape, self.keys.sketched_of_all
+        if not uses_evidence(self.parts.cfg):
+            return None
+        if of_all is None:
+            return EvidenceCache(self.folder / "evidence", shape)
+        return EvidenceCache(self.stages / f"evidence-{of_all}", shape, self.data.source.fingerprint)
+
+    def task(self, rig: Rig) -> SketchTask:  # noqa: D102
+        edges_m = self.data.spec.range_edges_m
+        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, self.parts.config)
+
+    def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
+        test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
+        return test._replace(images=False), test
+
+    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+        """Load the weights of the depth stage and those that the recipe names."""
+        cast(nn.Module, task.model.depth).load_state_dict(self.depth.weights())
+        return super().begin(task, data, checkpoint)
+
+    def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:  # noqa: D102
+        return [SketchImages(place.results / IMAGES, self.parts.cfg.test_images, data.spec.classes)]
+
+    def cost(self, task: StageTask, data: OccupancyData) -> dict[str, float]:  # noqa: D102
+        range_m = data.dataset("test")[0].depth_range_m
+        assert range_m is not None
+        device = next(task.parameters()).device
+        found = known(range_m[None].to(device))
+        return cost_of_network(task.model, lambda: cast(SketchTask, task.eval()).sketch.hand_on(*found))
+
+    def leaves(self) -> Leaves:  # noqa: D102
         caches = [self.candidates, *([self.evidence] if self.evidence else [])]
-        self._fill(task, caches, partial(read_range, self.ranges), predict_sketched, f"{title}, candidates")
+        read = partial(read_range, self.depth.ranges)
+        return Leaves("candidates", self.scenes, caches, read, predict_sketched)
 
-    def sketch_weights(self) -> dict[str, Tensor]:
-        """Return the weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
-        return load_checkpoint(self.folders["sketch"] / LAST).model_weights
 
-    def _finish(
-        self, task: Task, recipe: Recipe, needs: tuple[Needs, Needs], images: Callback, stage: str, title: str,
-        trains: bool,
-    ) -> None:  # fmt: skip
-        """Load the finished task, or finish its training and test."""
-        folder, results = self.folders[stage], self.results[stage]
-        last = folder / LAST
-        if (results / METRICS).exists():
-            say(f"{title} is finished: {results}")
-            task.model.load_state_dict(load_checkpoint(last).model_weights)
-            return
-        checkpoint, message = resumable(last) if trains else (None, None)
-        if message:
-            say(message)
-        say(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}")
-        data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
-        data.read_only(*needs)
-        duration = TrainingTime()
-        trainer = self._trainer(recipe, [duration, images], folder, stage, title)
-        if line := load_first_weights(task.model, recipe, stage, checkpoint, task.config):
-            say(line)
-        metrics = train_and_test(trainer, task, data, checkpoint, trains and recipe.max_steps != 0)
-        trainer.save_checkpoint(last)
-        meet()
-        if trainer.is_global_zero:
-            device = trainer.strategy.root_device
-            facts = {"seed": recipe.seed, MINUTES: duration.minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
-            self._save_figures(stage, metrics, facts | {"steps": trainer.global_step})
-            finish(trainer.loggers)
+class OccupancyStage(Stage):
+    """Images and candidates to voxels: the last stage, whose folder is the run's."""
 
-    def _save_figures(self, stage: str, metrics: dict[str, float], facts: dict[str, Any]) -> None:
-        """Write the figures of a stage with facts about its training; they mark it as finished."""
-        about = {"run": self.folders[stage].name, "preset": self.cfg.preset.name, "command": command_line()}
-        about |= {"commit": git_commit(), "data": self.fingerprint, FINISHED: utc_text(time())}
-        save_results(self.results[stage], metrics, about | facts)
+    NAME = "occupancy"
+    TESTS_BEST = True
+    AGAIN = "; resume=never trains again beside it"
 
-    def _trainer(self, recipe: Recipe, callbacks: Sequence[Callback], folder: Path, stage: str, title: str) -> Trainer:
-        if is_first():
-            atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
-        steps = self.cfg.checkpoint_every_n_steps
-        return build(
-            self.cfg.trainer,
-            max_steps=recipe.max_steps,
-            max_epochs=recipe.max_epochs,
-            check_val_every_n_epoch=recipe.validate_every_n_epochs,
-            val_check_interval=None,
-            plugins=[AtomicCheckpointIO()],
-            callbacks=[
-                StepProgress(title),
-                *callbacks,
-                LastCheckpoint(folder / LAST, steps),
-                StopAtSignal(folder / LAST),
-            ],
-            logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
-            default_root_dir=str(folder),
-        )
+    @cached_property
+    def window(self) -> int:  # type: ignore[override]  # noqa: D102
+        return self.data.window
 
-    def _fill(self, task: Task, caches: Sequence[FrameCache], read: Read, predict: Predict, title: str) -> None:
-        """Predict for all frames of the scenes that are missing in one of the caches, on the device that trains.
+    @cached_property
+    def key(self) -> str:  # noqa: D102
+        return run_hash(self.parts.config, self.data.source.fingerprint)
 
-        `predict` returns one array for each cache, and may return more. Loader processes read the inputs; Lightning has
-        moved the task to the CPU. Several processes share the scenes.
+    @property
+    def sketch(self) -> SketchStage | None:
+        """Return the stage before; None without a learned sketch."""
+        return cast(SketchStage | None, self.before.get("sketch"))
+
+    @contextmanager
+    def claimed(self, title: str) -> Iterator[Place]:
+        """Lock the run's folder; raise UserError when another process works in it."""
+        cfg = self.parts.cfg
+        run = open_run(Path(cfg.paths.runs), cfg.name, self.key, cfg.resume)
+        try:
+            yield Place(run.path, run.checkpoint, run.path)
+        finally:
+            if run.lock is not None:
+                run.lock.release()
+
+    def task(self, rig: Rig) -> OccupancyTask:  # noqa: D102
+        return build_task(self.parts, self.data.spec)
+
+    def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
+        loss, sketch = cast(OccupancyTask, task).loss, self.sketch
+        test = Needs(pixel_labels=False, candidates=sketch and sketch.candidates, evidence=sketch and sketch.evidence)
+        learned = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
+        return test._replace(scores=False, **learned), test
+
+    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+        """Load the sketch, count the classes of the training frames, and load what fits of the given weights."""
+        assert isinstance(task, OccupancyTask)
+        if self.sketch is not None:
+            task.model.sketch.load_state_dict(self.sketch.weights())  # type: ignore[union-attr]
+        task.set_training_statistics(data.voxel_counts())
+        if self.recipe.weights is None or checkpoint is not None:
+            return None
+        return load_fitting(task.model, self.recipe.weights, task.config)
+
+    def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:
+        """Return the user's callbacks, and those that keep the best checkpoint and draw."""
+        return [
+            *self.parts.callbacks(),
+            ModelCheckpoint(place.folder, "best", monitor=score_of(data), mode="max", enable_version_counter=False),
+            OccupancyImages(place.folder / IMAGES, self.parts.cfg.test_images, data.spec.classes),
+        ]
+
+    def cost(self, task: StageTask, data: OccupancyData) -> dict[str, float]:  # noqa: D102
+        return cost_of(cast(OccupancyTask, task).model.eval(), data.dataset("test")[0])
+
+    def figures_and_facts(
+        self, task: StageTask, data: OccupancyData, trainer: Trainer, place: Place
+    ) -> tuple[dict[str, float], dict[str, Any]]:
+        """Return the figures of earlier stages, and facts for the report.
+
+        The fraction of candidates is measured here only if the sketch is not learned; else its stage measures it.
         """
-        rank, processes = share()
-        own = self.scenes[rank::processes]
-        absent = {scene.name for cache in caches for scene in cache.missing(own)}
-        missing = [scene for scene in own if scene.name in absent]
-        if not missing:
-            return
-        trainer = bare_trainer(self.cfg.trainer)
-        device = task.to(trainer.strategy.root_device).eval().device
-        inputs = iter(frame_loader(missing, read, self.cfg.data.num_workers))
-        with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
-            for scene in missing:
-                frames = []
-                for frame in range(len(scene)):
-                    predicted = predict(task, scene.rigs[frame], *batch_of_one(next(inputs), device))
-                    frames.append([array.cpu() for array in predicted[: len(caches)]])
-                    progress.advance()
-                for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
-                    cache.write(scene.name, arrays)
-        task.cpu()
+        assert isinstance(task, OccupancyTask)
+        before = {name: load_results(cast(EarlierStage, stage).results) for name, stage in self.before.items()}
+        figures = {name: value for _, known in before.values() for name, value in known.items()}
+        log_earlier_stages(trainer.loggers, figures, trainer.global_step)
+        save_by_scene(place.folder, task.scores, data.source, task.counted)
+        rows = data.spec.classes.rows
+        facts: dict[str, Any] = {
+            "stages": {name: facts["steps"] for name, (facts, _) in before.items()} | {self.NAME: trainer.global_step},
+            "classes": [{"name": row.name, "rgb": row.rgb} for row in rows if row.id != FREE],
+            EARLIER_MINUTES: round(sum(facts.get(MINUTES, 0.0) for facts, _ in before.values()), 1),
+            PROTOCOL: task.protocol,
+        }
+        if self.sketch is None:
+            sample = data.dataset("test")[0]
+            chosen = task.model.choose(sample.images[-1:].to(task.device), sample.rigs[-1:]).candidates
+            facts[CANDIDATES] = round(float(chosen.float().mean()), 4)
+        return figures, facts
 
 
-def train_and_test(
-    trainer: Trainer, task: Task, data: OccupancyData, checkpoint: Path | None, trains: bool
-) -> dict[str, float]:
-    """Train a task, from a checkpoint if there is one, and return its figures of validation and test.
+KINDS: dict[str, type[Stage]] = {kind.NAME: kind for kind in (DepthStage, SketchStage, OccupancyStage)}
 
-    Without `trains` it is scored as it is.
+
+def stages_of(parts: Parts, data: OccupancyData) -> list[Stage]:
+    """Return the stages of a configuration up to the wanted one, in order.
+
+    Raises:
+        UserError: for an unknown stage, or one that the model does not have.
     """
-    if trains:
-        trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
-    metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
-    if trains:
-        task.fit_to_validation()
-    metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
-    return metrics
+    stages: list[Stage] = []
+    names = wanted_stages(parts.cfg)
+    for name in names:
+        stages.append(KINDS[name](parts, data, tuple(stages), followed=name != names[-1]))
+    return stages
 
 
-def say(text: str) -> None:
-    """Print a line in the first process."""
-    if is_first():
-        print(text, flush=True)
-
-
-class Frames(Dataset):
-    """The inputs of every frame of some scenes, in order."""
-
-    def __init__(self, scenes: Sequence[SceneFrames], read: Read):
-        self.frames = [(scene, frame) for scene in scenes for frame in range(len(scene))]
-        self.read = read
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> tuple[Tensor | None, ...]:
-        return self.read(*self.frames[index])
-
-
-def frame_loader(scenes: Sequence[SceneFrames], read: Read, num_workers: int) -> DataLoader[tuple[Tensor | None, ...]]:
-    """Return the inputs of every frame of some scenes, in order, read by other processes (0: by this one)."""
-    return DataLoader(Frames(scenes, read), batch_size=None, **worker_options(num_workers))
-
-
-def batch_of_one(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:
-    """Return tensors as a batch of one on a device."""
-    return [None if value is None else value.unsqueeze(0).to(device) for value in inputs]
+def score_of(data: OccupancyData) -> str | None:
+    """Return the score by which the best checkpoint is chosen; None (the last one) without voxels and LiDAR."""
+    scene = next(iter(data.source.scenes("val")), None)
+    if scene is None or data.voxels.read(scene, 0) is not None:
+        return "val/rayiou"
+    return None if scene.lidar(0) is None else "val/lidar/rayiou"
 
 
 def matching_line(shared: float) -> str:
@@ -283,7 +360,7 @@ def read_depth_inputs(scene: SceneFrames, frame: int, with_range: bool) -> tuple
 
 def read_range(ranges: RangeCache, scene: SceneFrames, frame: int) -> tuple[Tensor]:
     """Return the predicted panorama of a frame."""
-    return (ranges.read(scene.name, frame),)
+    return (ranges.read(scene, frame),)
 
 
 def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Tensor | None) -> tuple[Tensor]:

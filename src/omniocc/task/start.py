@@ -87,7 +87,7 @@ def check_resumed(path: Path, config: Mapping[str, Any], steps: int | None) -> N
     if steps is not None and trained.step >= steps:
         raise UserError(
             f"resume={path}: {trained.step} steps are done and the training ends after {steps}; "
-            "give a larger trainer.max_steps"
+            "give a larger stages.occupancy.max_steps"
         )
 
 

@@ -6,9 +6,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from omniocc.config import build, check
+from omniocc.config import as_options
 from omniocc.errors import UserError
 
 Options = TypeVar("Options", "ViewOptions", "TargetOptions")
@@ -90,10 +90,7 @@ def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:
 
 def _built(kind: type[Options], values: dict[str, Any]) -> Options:
     """Return the options of a class, compared with its types."""
-    own = {one.name: values[one.name] for one in fields(kind)}
-    node = OmegaConf.create({"view": {"_target_": f"{kind.__module__}.{kind.__name__}", **own}})
-    check(node)
-    return build(node.view)
+    return as_options(kind, "view", {one.name: values[one.name] for one in fields(kind)})
 
 
 def unique_names(runs: Sequence[str]) -> list[str]:

@@ -14,9 +14,8 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import has_labels
 from omniocc.data.dataset import Needs, WindowDataset, collate
-from omniocc.data.source import SceneFrames, SourceSpec, Unknown, VoxelLabels
+from omniocc.data.source import MadeScenes, SceneFrames, SourceSpec, Unknown, VoxelLabels
 from omniocc.data.source.recorded import spec_of, votes_of
-from omniocc.data.source.virtual import VirtualWorld
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
@@ -85,11 +84,9 @@ def test_scenes(
         DataError: when scenes are missing or damaged.
     """
     source = data.source
-    if isinstance(source, VirtualWorld) and type(source).scenes is VirtualWorld.scenes:
-        plans = {plan.name: plan for plan in source.plans if plan.split == "test"}
-        chosen = choose(dict.fromkeys(plans, source.frames_per_scene), scene, frames, limit, source.name)
-        source.prepare([plans[name] for name in chosen])
-        found = {name: source.reader(plans[name]) for name in chosen}
+    if isinstance(source, MadeScenes):
+        chosen = choose(source.planned("test"), scene, frames, limit, source.folder.name)
+        found = {one.name: one for one in source.made("test", list(chosen))}
     else:
         source.prepare()
         found = {one.name: one for one in source.scenes("test")}

@@ -13,11 +13,12 @@ from nuscenes_files import write_nuscenes
 
 from omniocc.config import build, check_root
 from omniocc.errors import UserError
+from omniocc.parts import Parts
 from omniocc.predict.submission import predict_submission
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST
-from omniocc.task.build import build_task, switch_off_head
-from omniocc.task.stages import Stages
+from omniocc.task.build import build_task, fitting
+from omniocc.task.stages import DepthStage, SketchStage
 from omniocc.task.submission import frames_of, score_files, write_files
 
 pytestmark = [
@@ -41,9 +42,9 @@ def train(cfg):
     seed_everything(0, verbose=False)
     data = build(cfg.data)
     data.prepare_data()
-    switch_off_head(cfg, data.source.scenes("train"))
+    parts, _ = fitting(Parts(cfg), data.source.scenes("train"))
     data.setup()
-    task = build_task(cfg, data.source.spec)
+    task = build_task(parts, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     trainer = Trainer(
         accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
@@ -129,22 +130,22 @@ def depth_of_kitti360(smoke, tmp_path_factory):
     def make(**recipe):
         changed = copy.deepcopy(cfg)
         changed.stages.depth.update(recipe)
-        return Stages(changed, data)
+        return DepthStage(Parts(changed), data)
 
     return make
 
 
 def test_depth_learns_from_the_scans_of_kitti360(depth_of_kitti360):
-    figures = depth_of_kitti360(max_steps=3).run("depth", "depth")
+    figures = depth_of_kitti360(max_steps=3).run("depth")
     assert 0 < figures["test/depth/mae"] < 50
 
 
 def test_the_first_weights_of_a_stage_follow_from_its_own_seed(depth_of_kitti360):
-    stages = depth_of_kitti360(max_steps=0, seed=3)
-    stages.run("depth", "depth")
-    found = load_checkpoint(stages.folders["depth"] / LAST).model_weights
+    stage = depth_of_kitti360(max_steps=0, seed=3)
+    stage.run("depth")
+    found = load_checkpoint(stage.folder / LAST).model_weights
     torch.manual_seed(3)
-    expected = build(stages.cfg.depth).state_dict()
+    expected = stage.parts.depth().state_dict()
     assert all(torch.equal(found[name], value) for name, value in expected.items())
 
 
@@ -155,7 +156,7 @@ def test_depth_without_true_ranges_is_one_clear_line(smoke, tmp_path):
     data = build(cfg.data)
     data.prepare_data()
     with pytest.raises(UserError, match="the training frames have no true ranges, from which depth learns: choose a"):
-        Stages(cfg, data).run("depth", "depth")
+        DepthStage(Parts(cfg), data).run("depth")
 
 
 def test_the_2d_head_learns_from_woodscape(smoke, tmp_path_factory):
@@ -177,9 +178,9 @@ def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()
-    stages = Stages(cfg, data)
-    stages.run("depth", "depth")
-    figures = stages.run("sketch", "sketch")
+    depth = DepthStage(Parts(cfg), data, followed=True)
+    depth.run("depth")
+    figures = SketchStage(Parts(cfg), data, [depth]).run("sketch")
     assert 0 <= figures["test/sketch/recall"] <= 1
 
 
@@ -187,17 +188,16 @@ def test_without_classes_of_pixels_the_2d_head_is_off(smoke, occ3d, kitti):
     cfg = smoke("model=extended", *occ3d)
     data = build(cfg.data)
     data.prepare_data()
-    line = switch_off_head(cfg, data.source.scenes("train"))
+    parts, line = fitting(Parts(cfg), data.source.scenes("train"))
     assert line.startswith("the training frames have no classes of pixels, so the 2D head is left out: model/semantic")
-    model = build_task(cfg, data.source.spec).model
+    model = build_task(parts, data.source.spec).model
     assert model.hints.classes is None
     assert not list(model.semantic_head.parameters())
-    assert switch_off_head(cfg, data.source.scenes("train")) is None
-    with_classes = smoke("model=extended", *kitti)
-    scenes = build(with_classes.data).source.scenes("train")
-    assert switch_off_head(with_classes, scenes) is None
-    assert with_classes.model.hints.pixel_classes
-    assert switch_off_head(with_classes, []) is None
+    assert cfg.model.hints.pixel_classes, "the configuration that was given is as it was"
+    assert fitting(parts, data.source.scenes("train")) == (parts, None)
+    with_classes = Parts(smoke("model=extended", *kitti))
+    assert fitting(with_classes, with_classes.source().scenes("train")) == (with_classes, None)
+    assert fitting(with_classes, []) == (with_classes, None)
 
 
 def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, tmp_path):

@@ -13,6 +13,7 @@ from omniocc.data import Recorded, SceneSource
 from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
+from omniocc.parts import Parts
 from omniocc.task.build import build_task
 
 pytestmark = [
@@ -42,7 +43,7 @@ def train(cfg):
     data = build(cfg.data)
     data.prepare_data()
     data.setup()
-    task = build_task(cfg, data.source.spec)
+    task = build_task(Parts(cfg), data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     trainer = Trainer(
         accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,

@@ -15,6 +15,7 @@ from omniocc.data import collate
 from omniocc.data.dataset import WindowDataset
 from omniocc.data.disturb.scene import disturbed
 from omniocc.errors import UserError
+from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.run.robustness import UNDISTURBED, drop_of
 from omniocc.task.build import build_task
@@ -180,7 +181,7 @@ def test_scores_without_each_scene_are_those_of_the_others(make_task, spec):
 def world_test(smoke, spec, trained, *overrides, scenes=8):
     """Return the test of a checkpoint on the virtual world, of which nothing is rendered."""
     cfg = smoke("model/sketch=dense", *overrides)
-    task = build_task(cfg, spec)
+    task = build_task(Parts(cfg), spec)
     return RobustnessTest(task, build(cfg.data), {**plain(cfg)["data"]["source"], **trained}, scenes, 0, CPU)
 
 

@@ -3,7 +3,7 @@
 import os
 import time
 
-CONFIG = "trainer: {max_steps: 1000}\nstages: {depth: {max_steps: 500}, sketch: {max_steps: null}}\n"
+CONFIG = "stages: {depth: {max_steps: 500}, sketch: {max_steps: null}, occupancy: {max_steps: 1000}}\n"
 
 
 def make_run(folder, rows="step,train/loss,val/rayiou\n99,2.5,\n199,2.25,\n199,,0.375\n", age_s=0.0, began_s=100.0):

@@ -278,3 +278,29 @@ class SceneSource(Protocol):
             ValueError: if the source has no labels of this grid, or of this kind.
         """
         ...
+
+
+@runtime_checkable
+class MadeScenes(SceneSource, Protocol):
+    """A source that makes its scenes when they are asked for; what they will be is known before."""
+
+    @property
+    def made_here(self) -> bool:
+        """Return whether scenes that are missing are made on this machine, rather than read from elsewhere."""
+        ...
+
+    def planned_rig(self) -> Rig:
+        """Return the cameras of the first training scene."""
+        ...
+
+    def planned(self, split: Split) -> dict[str, int]:
+        """Return the numbers of frames of the scenes of a split, by name, in order."""
+        ...
+
+    def missing(self) -> Sequence[object]:
+        """Return the plans of the scenes that are not there yet."""
+        ...
+
+    def made(self, split: Split, names: Sequence[str]) -> list[SceneFrames]:
+        """Return some scenes of a split, after those that are missing have been made."""
+        ...

@@ -1,8 +1,7 @@
-"""The cameras of a source, also of one whose scenes are not there yet."""
+"""What is known of a source's training frames, also of one whose scenes are not there yet."""
 
 from omniocc.camera import Rig
-from omniocc.data.source import SceneSource
-from omniocc.data.source.virtual import VirtualWorld
+from omniocc.data.source import MadeScenes, SceneSource
 from omniocc.errors import UserError
 
 
@@ -12,12 +11,21 @@ def training_rig(source: SceneSource) -> Rig:
     Raises:
         UserError: when there are no training scenes.
     """
-    if isinstance(source, VirtualWorld):
-        return source.rig or source.rig_of(source.plans[0])
+    if isinstance(source, MadeScenes):
+        return source.planned_rig()
     rig = getattr(source, "rig", None)  # of sources whose scenes all have the same cameras
-    if rig is not None:
-        return rig
-    scenes = source.scenes("train")
-    if not scenes:
-        raise UserError("the model's training data has no training scenes, whose cameras are needed")
+    return first_rig(source) if rig is None else rig
+
+
+def first_rig(source: SceneSource) -> Rig:
+    """Return the cameras of the first training frame; raise UserError when there are no training scenes."""
+    if not (scenes := source.scenes("train")):
+        raise UserError("this data has no training scenes, whose cameras are needed")
     return scenes[0].rigs[0]
+
+
+def training_frames(source: SceneSource) -> int:
+    """Return the number of a source's training frames."""
+    if isinstance(source, MadeScenes):
+        return sum(source.planned("train").values())
+    return sum(map(len, source.scenes("train")))

@@ -233,6 +233,25 @@ class VirtualWorld:
         turn, theme = divmod(plan.seed % SEEDS_PER_SPLIT, len(self.themes_of(plan.split)))
         return WEATHERS[(turn + theme) % len(WEATHERS)]
 
+    @property
+    def made_here(self) -> bool:
+        """Return whether missing scenes are rendered on this machine; those below a URL are not."""
+        return not is_url(self.root)
+
+    def planned_rig(self) -> Rig:
+        """Return the cameras of the first training scene."""
+        return self.rig or self.rig_of(self.plans[0])
+
+    def planned(self, split: Split) -> dict[str, int]:
+        """Return the numbers of frames of the scenes of a split, by name, in order."""
+        return {plan.name: self.frames_per_scene for plan in self.plans if plan.split == split}
+
+    def made(self, split: Split, names: Sequence[str]) -> list[SceneReader]:
+        """Return some scenes of a split, after those that are missing have been rendered."""
+        plans = {plan.name: plan for plan in self.plans if plan.split == split}
+        self.prepare(chosen := [plans[name] for name in names])
+        return [self.reader(plan) for plan in chosen]
+
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
         """Return those of the planned scenes (all of them by default) that are not complete."""
         return [plan for plan in (self.plans if plans is None else plans) if not self._exists(plan)]

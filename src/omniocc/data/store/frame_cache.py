@@ -23,21 +23,25 @@ from omniocc.errors import DataError
 from omniocc.io import atomic_write
 
 _CRC_BYTES = 4
+DIGITS = 12
+"""Digits of a scene's fingerprint in the name of its file."""
 
 
 class FrameCache(ABC):
-    """Arrays of one shape, one per frame, in `folder/<scene>.frames`.
+    """Arrays of one shape, one per frame, in a file for each scene.
 
     Args:
         folder: of the files; its name must depend on everything that the arrays depend on.
         shape: of every array.
+        data: fingerprint of the data that scenes without a fingerprint of their own are of, in a folder for scenes of
+            any data; None: the folder is for scenes of one data set, whose names tell them apart.
     """
 
     BITS: ClassVar[int]
     """Number of bits of one element of an array."""
 
-    def __init__(self, folder: Path, shape: Sequence[int]):
-        self.folder = folder
+    def __init__(self, folder: Path, shape: Sequence[int], data: str | None = None):
+        self.folder, self.data = folder, data
         self.shape = tuple(shape)
         self._row_bytes = -(-self.BITS * math.prod(self.shape) // 8) + _CRC_BYTES
 
@@ -49,21 +53,23 @@ class FrameCache(ABC):
     def unpack(self, payload: bytes) -> Tensor:
         """Return the array that bytes hold, the inverse of `pack`."""
 
-    def path(self, scene: str) -> Path:
+    def path(self, scene: SceneFrames) -> Path:
         """Return the file of a scene."""
-        return self.folder / f"{scene}.frames"
+        if self.data is None:
+            return self.folder / f"{scene.name}.frames"
+        return self.folder / f"{scene.name}-{getattr(scene, 'fingerprint', self.data)[:DIGITS]}.frames"
 
     def missing(self, scenes: Sequence[SceneFrames]) -> list[SceneFrames]:
         """Return the scenes that have no file, or one of the wrong length."""
-        return [scene for scene in scenes if self._size(scene.name) != self._row_bytes * len(scene)]
+        return [scene for scene in scenes if self._size(scene) != self._row_bytes * len(scene)]
 
-    def write(self, scene: str, arrays: Sequence[Tensor]) -> None:
+    def write(self, scene: SceneFrames, arrays: Sequence[Tensor]) -> None:
         """Write all frames of a scene, in order; raise DataError when the disk refuses."""
         payloads = [self.pack(array) for array in arrays]
         rows = (payload + zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") for payload in payloads)
         atomic_write(self.path(scene), b"".join(rows))
 
-    def read(self, scene: str, frame: int) -> Tensor:
+    def read(self, scene: SceneFrames, frame: int) -> Tensor:
         """Return one frame; raise DataError when the file is missing, too short or damaged."""
         path, row = self.path(scene), self._row_bytes
         try:
@@ -77,7 +83,7 @@ class FrameCache(ABC):
             raise DataError(f"{path}: frame {frame} is damaged; delete the file and run train.py again")
         return self.unpack(payload)
 
-    def _size(self, scene: str) -> int:
+    def _size(self, scene: SceneFrames) -> int:
         path = self.path(scene)
         return path.stat().st_size if path.is_file() else -1
 

@@ -29,7 +29,7 @@ from omniocc.data.store.codec import (
 from omniocc.data.store.files import LIMIT_BYTES, named
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
-from omniocc.data.store.shard import shard_name
+from omniocc.data.store.shard import digest, shard_name
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
 
@@ -67,6 +67,12 @@ class SceneReader(SceneFolder):
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"masked": self.masked, "panorama": self.panorama}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Return a hash that is equal for scenes with equal files, read in the same way."""
+        sums = {name: facts["sha256"] for name, facts in self.meta["files"].items()}
+        return digest([sums, None if self.masked is None else self.masked.fingerprint, repr(self.panorama)])
 
     @property
     def world_from_ego(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -35,6 +36,8 @@ class Sweep(PanoramaDepth):
     Raises:
         ValueError: if the window is even or does not fit into the panorama.
     """
+
+    COMPARES_CAMERAS: ClassVar[bool] = True
 
     def __init__(self, panorama: Equirectangular, spheres: SphereRange, window_px: int, min_confidence: float):
         super().__init__(panorama, spheres)

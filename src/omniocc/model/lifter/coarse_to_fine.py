@@ -74,6 +74,7 @@ class CoarseToFine(nn.Module):
         self.sides = sides
         grids = [coarsened(geometry, (side, side, side)) for side in sides]
         self.splat = LiftSplat(grids[0], in_channels, in_channels, levels, bins, range_m)
+        self.reach_m = self.splat.reach_m
         self.colorings = nn.ModuleList(
             Coloring(grid, in_channels, levels, depth, heads, samples, feedforward_channels)
             for grid, depth, samples in zip(grids, layers, points, strict=True)

@@ -48,7 +48,7 @@ class LiftSplat(nn.Module):
         if len(range_m) != 2 or not 0 <= range_m[0] < range_m[1]:
             raise ValueError(f"range_m is {list(range_m)}; it must be two increasing distances in metres, from 0 on")
         self.geometry = geometry
-        self.channels, self.strides = channels, list(levels)
+        self.channels, self.strides, self.reach_m = channels, list(levels), float(range_m[1])
         step_m = (range_m[1] - range_m[0]) / bins
         self.ranges_m = tuple(range_m[0] + (index + 0.5) * step_m for index in range(bins))
         self.split = nn.Linear(in_channels, bins + channels)

@@ -61,6 +61,7 @@ class SplatColoring(nn.Module):
         self.lens: Lens = lens
         grid = coarsened(geometry, self.block)
         self.splat = LiftSplat(geometry, in_channels, channels, levels, bins, range_m)
+        self.reach_m = self.splat.reach_m
         self.query = Pointwise(channels, in_channels)
         self.coloring = Coloring(grid, in_channels, levels, layers, heads, points, feedforward_channels)
         self.found = Pointwise(in_channels, channels)

@@ -1,5 +1,7 @@
 """A small fully convolutional head (paper, section IV-D)."""
 
+from typing import ClassVar
+
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -14,6 +16,8 @@ class FCN(nn.Module):
         hidden_channels: of the 3x3 convolution.
         num_classes: logits per pixel; class 0 is the sky.
     """
+
+    CLASSIFIES: ClassVar[bool] = True
 
     def __init__(self, in_channels: int, hidden_channels: int, num_classes: int):
         super().__init__()

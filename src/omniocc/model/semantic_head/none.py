@@ -1,5 +1,7 @@
 """No semantic head."""
 
+from typing import ClassVar
+
 from torch import nn
 
 from omniocc.model.ops.padded import FeatureMaps
@@ -7,6 +9,8 @@ from omniocc.model.ops.padded import FeatureMaps
 
 class NoSemanticHead(nn.Module):
     """Classify no pixels."""
+
+    CLASSIFIES: ClassVar[bool] = False
 
     def __init__(self):  # of its own: nn.Module's would accept anything
         super().__init__()

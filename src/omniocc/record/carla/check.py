@@ -1,7 +1,6 @@
 """Compare a server's answers with one another: is what we assume of CARLA's frames, units and tags true there?"""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -9,6 +8,7 @@ from jaxtyping import UInt8
 from omniocc.data.formats.carla_tags import ROAD, ROADLINE
 from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
+from omniocc.record import Finding
 from omniocc.record.carla.decode import inverse_depth_of, read_bgra, tags_in
 from omniocc.record.carla.frames import ACTOR_CLASSES, RawFrame, actor_of, scans_of
 from omniocc.record.carla.sensors import Cube, Spec
@@ -19,14 +19,6 @@ SAME_TAGS = 0.85
 IN_BOX = 0.9
 TIME_S = 1e-4
 UNDER_M = 5.0
-
-
-class Finding(NamedTuple):
-    """One assumption: what it says, whether it holds, and what was measured."""
-
-    name: str
-    holds: bool
-    measured: str
 
 
 def check_frames(

@@ -26,7 +26,8 @@ from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
 from omniocc.io import checked_name
 from omniocc.progress import Progress
-from omniocc.record.carla.check import Finding, check_frames
+from omniocc.record import Finding
+from omniocc.record.carla.check import check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
 from omniocc.record.carla.process import CarlaError, Message, captured
 from omniocc.record.carla.sensors import Cube, Spec, camera_cubes, cube_sensors, lidar_sensors, origin_cube

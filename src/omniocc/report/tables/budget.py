@@ -49,7 +49,7 @@ def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:
     yield _over_seeds(runs, GFLOP, "{:.3g}", max)
     yield from (str(steps.get(stage, "–")) for stage in STAGES)
     yield str(sum(steps.values())) if steps else "–"
-    yield str(runs[0].config.get("data", {}).get("batch_size", "–"))
+    yield samples_a_step(runs[0])
     yield _over_seeds(runs, MINUTES, "{:.1f}", lambda values: sum(values) / len(values))
     known = [minutes_in_all(run) for run in runs if run.facts.get(MINUTES) is not None]
     yield f"{sum(known) / len(known):.1f}" if known else "–"
@@ -59,6 +59,13 @@ def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:
 def minutes_in_all(run: FinishedRun) -> float:
     """Return the minutes of all stages of a run; 0 for what it did not record."""
     return float(run.facts.get(MINUTES) or 0.0) + float(run.facts.get(EARLIER_MINUTES) or 0.0)
+
+
+def samples_a_step(run: FinishedRun) -> str:
+    """Return the samples of a step of the last stage; runs of older versions name them with the data."""
+    recipe = (run.config.get("stages") or {}).get("occupancy")
+    known = recipe if isinstance(recipe, dict) else run.config.get("data") or {}
+    return str(known.get("batch_size", "–"))
 
 
 def steps_of_stages(run: FinishedRun) -> str:

@@ -11,7 +11,7 @@ from omniocc.errors import UserError, in_line
 from omniocc.report.runs import FinishedRun, grid_name
 from omniocc.report.selection import mixtures
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables.budget import steps_of_stages
+from omniocc.report.tables.budget import samples_a_step, steps_of_stages
 from omniocc.report.tables.claims import JUDGES, LEVEL, p_cell, p_text
 from omniocc.report.tables.gaps import RANGE_ERROR, UNKNOWN, Gap, gap_of_systems, paired_gap
 from omniocc.report.tables.holm import holm
@@ -25,7 +25,7 @@ ALIKE: Mapping[str, Callable[[FinishedRun], str]] = {
     "preset": lambda run: run.setting[0],
     "data": lambda run: run.setting[2][:8],
     "steps of depth/sketch/model": lambda run: steps_of_stages(run) if run.facts.get("stages") else run.setting[1],
-    "samples a step": lambda run: str((run.config.get("data") or {}).get("batch_size", "–")),
+    "samples a step": samples_a_step,
     "grid": lambda run: grid_name(run.config),
 }
 """What two rows should have in common, since a difference in it can make the gap."""

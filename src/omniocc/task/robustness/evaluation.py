@@ -13,14 +13,14 @@ import torch
 from omegaconf import OmegaConf
 from torch.utils.data import DataLoader
 
-from omniocc.config import build, plain
-from omniocc.data import Needs, OccupancyData, SceneSource, VirtualWorld, WindowDataset, collate
+from omniocc.config import plain
+from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
 from omniocc.data.disturb.scene import disturbed
 from omniocc.data.module import worker_options
-from omniocc.data.source import SceneFrames
-from omniocc.data.store.files import is_url
+from omniocc.data.source import MadeScenes, SceneFrames
 from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
+from omniocc.parts import Parts
 from omniocc.progress import Progress
 from omniocc.run.checkpoint import Checkpoint
 from omniocc.run.folder import command_line, git_commit, short_hash
@@ -118,7 +118,7 @@ class RobustnessTest:
     def renders(self) -> bool:
         """Return whether the test scenes can be rendered anew with other options."""
         source = self.data.source
-        return isinstance(source, VirtualWorld) and not is_url(source.root)
+        return isinstance(source, MadeScenes) and source.made_here
 
     def parts(self) -> list[Part]:
         """Return all parts for the cameras of the first test scene, which is rendered if it is missing."""
@@ -136,7 +136,7 @@ class RobustnessTest:
 
         Only for the virtual world there are other options and places; its scenes may not be rendered yet.
         """
-        if not isinstance(self.data.source, VirtualWorld):
+        if not isinstance(self.data.source, MadeScenes):
             self.data.source.prepare()
             return self.data.source
         own = self.task.config["data"]["source"]
@@ -144,7 +144,7 @@ class RobustnessTest:
         places = {"themes": [place for place in named if place not in self.unseen]}
         count = min(self.scenes, own["test_scenes"])
         numbers = {"train_scenes": 0, "val_scenes": 0, "test_scenes": count, "test_places": []}
-        return build(OmegaConf.create({**own, **places, **numbers, **changes}))
+        return Parts(OmegaConf.create({"data": {"source": {**own, **places, **numbers, **changes}}})).source()
 
     def prepared(self, changes: Mapping[str, Any]) -> SceneSource:
         """Return the same source after its scenes and labels have been made.
@@ -153,7 +153,7 @@ class RobustnessTest:
             DataError: when scenes are missing and cannot be made.
         """
         source = self.source(changes)
-        if changes and isinstance(source, VirtualWorld) and source.missing():
+        if changes and isinstance(source, MadeScenes) and source.missing():
             print(f"test scenes are rendered with {' '.join(f'{key}={value}' for key, value in changes.items())}")
         source.prepare()
         source.labels(self.data.geometry, self.data.unknown).prepare(source.scenes("test"))

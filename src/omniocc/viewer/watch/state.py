@@ -122,9 +122,8 @@ def changed_at_s(folder: Path) -> float:
 
 def configured_steps(folder: Path, stage: str) -> int | None:
     """Return the optimiser steps that a run's configuration asks for; None if it limits epochs alone."""
-    config = config_of(folder / CONFIG)
-    part = config.get("trainer") if stage == "occupancy" else (config.get("stages") or {}).get(stage)
-    steps = (part or {}).get("max_steps")
+    recipe = (config_of(folder / CONFIG).get("stages") or {}).get(stage)
+    steps = (recipe or {}).get("max_steps")
     return steps if isinstance(steps, int) and steps > 0 else None
 
 

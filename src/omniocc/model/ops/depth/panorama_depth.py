@@ -21,6 +21,7 @@ class PanoramaDepth(nn.Module):
     """
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = False
+    COMPARES_CAMERAS: ClassVar[bool] = False
 
     def __init__(self, panorama: Equirectangular, spheres: SphereRange):
         super().__init__()
@@ -62,6 +63,8 @@ class LearnedPanoramaDepth(PanoramaDepth):
     Args:
         mirror: train on the mirrored world as often as on the true one.
     """
+
+    NEEDS_CAMERA_RANGES: ClassVar[bool] = True
 
     def __init__(self, panorama: Equirectangular, spheres: SphereRange, mirror: bool):
         super().__init__(panorama, spheres)

@@ -1,6 +1,7 @@
 """Base of the networks that choose among spheres: from logits to depth, and the losses."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -84,6 +85,8 @@ class SphereNet(LearnedPanoramaDepth):
         min_confidence: ranges that are less likely than this to be within 10 % are not valid, in [0, 1].
     """
 
+    COMPARES_CAMERAS: ClassVar[bool] = True
+    NEEDS_CAMERA_RANGES: ClassVar[bool] = False
     features: nn.Module
 
     def __init__(
@@ -135,6 +138,12 @@ class SphereNet(LearnedPanoramaDepth):
         confidence = self.confidence(mass * solid, spheres.range_m(index))
         valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
         return from_index(index, valid, confidence, spheres)
+
+    def calibrate(
+        self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]
+    ) -> None:
+        """Fit the confidence to rays whose truth is known, see `LearnedDepth`."""
+        self.confidence.fit(confidence, range_m, right)
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
         """Return the losses of `SphereLoss`, which use only the panorama."""
