@@ -5,26 +5,23 @@
 
 import sys
 from pathlib import Path
-from types import ModuleType
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from omniocc.errors import UserError, installing
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.predict.submission import predict_submission
+from omniocc.predict.submission import changed_places, predict_submission
 from omniocc.run.script import quiet_libraries, script
+from omniocc.viewer.command import shown
 
 
 @script("predict_depth")
 def depth(cfg: DictConfig) -> None:
     """Predict a range panorama for every frame."""
     overrides = [str(override) for override in HydraConfig.get().overrides.task]
-    if cfg.viewer is None:
-        return predict_panoramas(cfg, overrides)
-    with timeline().to_viewer(cfg.viewer, f"depth, {cfg.output}") as recording:
-        return predict_panoramas(cfg, overrides, timeline().RangeStream(recording))
+    with shown(cfg.viewer, f"depth, {cfg.output}", "RangeStream") as stream:
+        predict_panoramas(cfg, overrides, stream)
 
 
 @script("predict_occupancy")
@@ -32,30 +29,16 @@ def occupancy(cfg: DictConfig) -> None:
     """Predict the voxels of every frame."""
     quiet_libraries()
     options = options_of(cfg)
-    if options.viewer is None:
-        return predict_occupancy(options)
-    with timeline().to_viewer(options.viewer, f"occupancy, {options.output}") as recording:
-        return predict_occupancy(options, timeline().VoxelStream(recording))
+    with shown(options.viewer, f"occupancy, {options.output}", "VoxelStream") as stream:
+        predict_occupancy(options, stream)
 
 
 @script("predict_submission")
 def submission(cfg: DictConfig) -> None:
     """Predict every frame of a dataset's split in the benchmark's submission format."""
     quiet_libraries()
-    changes = [] if cfg.root is None else [f"data.source.root={cfg.root}"]
-    if cfg.sequences is not None:
-        given = [cfg.sequences] if isinstance(cfg.sequences, int | str) else list(cfg.sequences)
-        changes.append(f"data.source.sequences.{cfg.split}={given}")
+    changes = changed_places(cfg.root, cfg.sequences, cfg.split)
     predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device, cfg.force)
-
-
-def timeline() -> ModuleType:
-    """Return the module that streams frames into the Rerun viewer; raise UserError without its package."""
-    try:
-        from omniocc.viewer.timeline import stream
-    except ImportError as error:
-        raise UserError(f"viewer=... needs one more package: {installing('rerun')}") from error
-    return stream
 
 
 COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}

@@ -8,11 +8,11 @@ import pytest
 import torch
 from scripts import run_script
 
-from mask import read_car
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.config import build
 from omniocc.errors import UserError
+from omniocc.mask import read_car
 from omniocc.world.render.own_car import mask_ego_car
 
 

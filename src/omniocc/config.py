@@ -153,9 +153,9 @@ NOT_OF_TRAINER = {
     "enable_progress_bar": "progress is printed in any case",
     "enable_checkpointing": "a run goes on from its checkpoints",
     "fast_dev_run": "preset=smoke trains a few steps of everything",
-    "max_steps": "the last stage ends by stages.occupancy.max_steps",
-    "max_epochs": "the last stage ends by stages.occupancy.max_epochs",
-    "check_val_every_n_epoch": "the last stage is validated by stages.occupancy.validate_every_n_epochs",
+    "max_steps": "it is stages.occupancy.max_steps now; trainer is the machine, for all stages",
+    "max_epochs": "it is stages.occupancy.max_epochs now; trainer is the machine, for all stages",
+    "check_val_every_n_epoch": "it is stages.occupancy.validate_every_n_epochs now",
 }
 """Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
 

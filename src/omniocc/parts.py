@@ -1,7 +1,4 @@
-"""From a configuration to objects: every part of a run is built here, when it is asked for.
-
-Nothing else in the platform calls Hydra, changes a configuration or looks at the names of classes in it.
-"""
+"""From a configuration to objects: every part of a run is built here, when it is asked for."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING, Any

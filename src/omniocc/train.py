@@ -62,8 +62,8 @@ def check_last(parts: Parts, data: OccupancyData) -> str | None:
         A line where the lifter ends before the grid does.
     """
     given_checkpoint(parts.cfg.resume)
-    if parts.cfg.weights is not None:
-        check_weights(parts.cfg.weights, parts.cfg.resume)
+    if (weights := parts.cfg.stages.occupancy.weights) is not None:
+        check_weights(weights, parts.cfg.resume)
     return line_on_lifter(build_task(parts, data.spec).model.lifter, data.geometry)
 
 

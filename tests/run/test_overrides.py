@@ -25,8 +25,13 @@ def explained(*overrides: str) -> list[str]:
         (["model.channelz=3"], "model.channelz: there is no such key", "model.lifter.channels"),
         (["n_jobs=0"], "n_jobs: there is no such key", "hydra.launcher.n_jobs"),
         (["stages.depth.max_step=3"], "stages.depth.max_step: there is no such key", "stages.depth.max_steps"),
-        (["trainer.max_steps=3"], "trainer.max_steps: the last stage ends by stages.occupancy.max_steps", ""),
-        (["trainer.max_epochs=3"], "trainer.max_epochs: the last stage ends by stages.occupancy.max_epochs", ""),
+        (["trainer.max_steps=3"], "trainer.max_steps: it is stages.occupancy.max_steps now", ""),
+        (
+            ["stages.occupancy.optimizer.learning_rate=1"],
+            "of the last stage is the group optimizer",
+            "optimizer.learning_rate",
+        ),
+        (["trainer.max_epochs=3"], "trainer.max_epochs: it is stages.occupancy.max_epochs now", ""),
         (
             ["trainer.detect_anomaly=true"],
             "trainer.detect_anomaly: there is no such key",

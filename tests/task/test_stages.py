@@ -6,9 +6,10 @@ import time
 import pytest
 
 from omniocc.errors import UserError
+from omniocc.parts import Parts
 from omniocc.progress import STATUS_FILE, read_status
 from omniocc.task.stage_keys import stage_keys, wanted_stages
-from omniocc.task.stages import claimed
+from omniocc.task.stages import claimed, stages_of
 
 
 @pytest.fixture
@@ -113,3 +114,26 @@ def test_a_second_process_waits_and_reports_it(tmp_path, monkeypatch, capsys):
         events.append("first")
     thread.join(timeout=10)
     assert events == ["first", "second"]
+
+
+@pytest.mark.slow
+def test_one_more_scene_computes_the_ranges_of_that_scene_alone(smoke, data_root, tmp_path, monkeypatch):
+    frames = []
+
+    def found(scenes, *overrides):
+        parts = Parts(smoke(f"paths.data={data_root}", f"paths.runs={tmp_path}", "test_images=0", *overrides,
+                            f"data.source.train_scenes={scenes}", "logger.mode=disabled"))  # fmt: skip
+        data = parts.data()
+        data.prepare_data()
+        depth = stages_of(parts, data)[0]
+        leaves = depth.leaves()
+        counted = leaves._replace(predict=lambda *given: frames.append(1) or leaves.predict(*given))
+        monkeypatch.setattr(depth, "leaves", lambda: counted)
+        frames.clear()
+        depth.run("depth")
+        return len(frames)
+
+    as_it_is = "model/depth=sweep"  # it has no weights
+    assert [found(2, as_it_is), found(3, as_it_is), found(2, as_it_is), found(3, as_it_is)] == [8, 2, 0, 0]
+    trained = "stages.depth.max_steps=1"
+    assert [found(2, trained), found(3, trained)] == [8, 10], "other scenes give another network"

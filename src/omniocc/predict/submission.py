@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from omniocc.data.source import Split
 from omniocc.data.store.shard import sha256
@@ -9,6 +10,15 @@ from omniocc.predict.options import choose_device
 from omniocc.predict.output.manifest import write_manifest
 from omniocc.predict.trained import load
 from omniocc.task.submission import frames_of, write_files
+
+
+def changed_places(root: str | None, sequences: Any, split: Split) -> list[str]:
+    """Return the overrides of a checkpoint's data for another folder, and for one or several sequences of a split."""
+    changes = [] if root is None else [f"data.source.root={root}"]
+    if sequences is not None:
+        given = [sequences] if isinstance(sequences, int | str) else list(sequences)
+        changes.append(f"data.source.sequences.{split}={given}")
+    return changes
 
 
 def predict_submission(

@@ -14,6 +14,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refused_key
 
 NEAREST_KEYS = 3
+LAST_OPTIMIZER = "stages.occupancy.optimizer"
 NEAR_ENOUGH = 0.6
 
 
@@ -48,6 +49,9 @@ def _unknown_option(missing: str, options: Sequence[str]) -> str:
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     """Return the lines about an unknown key; one with a slash is taken for a group."""
+    if key.startswith(f"{LAST_OPTIMIZER}."):
+        own = key.removeprefix("stages.occupancy.")
+        return f"{key}: the optimiser of the last stage is the group optimizer: {own}=..."
     parent, _, last = key.rpartition(".")
     if parent == "trainer" and last in NOT_OF_TRAINER:
         return f"{key}: {NOT_OF_TRAINER[last]}"

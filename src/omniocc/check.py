@@ -1,0 +1,57 @@
+"""Read a dataset back and list all that is wrong with it: what `src/check.py` does with its words."""
+
+from pathlib import Path
+
+from omniocc.data import OccupancyData
+from omniocc.data.check_source import check_source, frames_of, has_labels
+from omniocc.data.source import SPLITS
+from omniocc.errors import DataError
+from omniocc.view import save_png
+from omniocc.view.data_sheet import data_sheet
+
+
+def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None) -> int:
+    """Read the frames of all scenes, print all problems, and return their number.
+
+    Args:
+        data: of which the source is read.
+        frames: of each scene, evenly spread; 0: all.
+        workers: processes that read; 0: none besides this.
+        drawn: folder for an image of the first frame of every split; None draws none.
+    """
+    data.source.prepare()
+    for split in SPLITS:
+        scenes = data.source.scenes(split)
+        print(f"{split:5}  {len(scenes)} scenes, {sum(map(frames_of, scenes))} frames", flush=True)
+    names = data.spec.classes.names
+    print(f"{len(names)} classes: {', '.join(names)}; train with data.num_classes={len(names)}")
+    for scene in (scene for split in SPLITS for scene in data.source.scenes(split) if not has_labels(scene)):
+        print(f"{scene.name} has no LiDAR: it serves prediction, not training")
+    if drawn is not None:
+        draw(data, drawn)
+    problems = 0
+    for problem in check_source(data.source, data.geometry, frames, workers):
+        problems += 1
+        print(problem, flush=True)
+    return problems
+
+
+def draw(data: OccupancyData, folder: Path) -> None:
+    """Draw the first frame of every split: ranges on the images, voxels; name the one that cannot be read."""
+    benchmark, classes = data.spec.benchmark, data.spec.classes
+    grid = data.geometry if benchmark is None else benchmark.grid
+    labels = data.source.labels(grid, "free")
+    for split in SPLITS:
+        for scene in data.source.scenes(split)[:1]:
+            known = has_labels(scene)
+            try:
+                if known:
+                    labels.prepare([scene])
+                parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
+                voxels = labels.read(scene, 0) if known else None
+            except (DataError, ValueError) as error:
+                print(f"the first frame of {split} cannot be drawn: {error}", flush=True)
+                continue
+            path = folder / f"{split}-{scene.name}.png"
+            save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))
+            print(f"image    {path}", flush=True)
