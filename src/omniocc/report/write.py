@@ -1,7 +1,7 @@
 """Write the report over all runs: tables, plots and pages."""
 
+import importlib.util
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.errors import installing
@@ -36,7 +36,7 @@ def draw_curves(sweep: Sweep, folder: Path) -> None:
     rows = {names.get(row, row): runs for row, runs in training.runs_by_row(sweep).items()}
     if not rows:
         return
-    if find_spec("matplotlib") is None:
+    if importlib.util.find_spec("matplotlib") is None:
         print(f"{CURVES_IMAGE} is not drawn again: {NO_MATPLOTLIB}")
         return
     from omniocc.report.plots.figures import learning_curves
@@ -51,7 +51,7 @@ def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
     first, *others = sweeps
     folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
     pages = {setting: folder / "index.html" for setting, folder in folders.items()}
-    if find_spec("matplotlib") is None:
+    if importlib.util.find_spec("matplotlib") is None:
         print(f"No plots: {NO_MATPLOTLIB}")
     with Progress("drawing", len(sweeps), unit="settings") as progress:
         for sweep in sweeps:
@@ -70,7 +70,7 @@ def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     """Write every plot as PNG below `output`, and return title and SVG of each by name."""
-    if find_spec("matplotlib") is None:
+    if importlib.util.find_spec("matplotlib") is None:
         return {}
     from omniocc.report.plots import robustness
     from omniocc.report.plots.figures import PLOTS, learning_curves, without_math
