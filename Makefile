@@ -10,11 +10,11 @@ PRESET ?= tiny
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml src/rayiou/pyproject.toml constraints.txt
 	@$(PYTHON) tools/python_version.py
 	@echo "Setting up $(VENV) (about three minutes, once)"
 	$(PYTHON) -m venv $(VENV)
-	@$(PYTHON) tools/with_clock.py $(VENV) $(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable '.[dev]'
+	@$(PYTHON) tools/with_clock.py $(VENV) $(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable src/rayiou --editable '.[dev]'
 	@touch $@
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt

@@ -65,7 +65,7 @@ def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, opt
 
 
 def hide_old_names(app: Any, what: str, name: str, documented: Any, skip: bool, options: Any) -> None:
-    """Show functions without the old names of their arguments (`omniocc.metric.renamed`); leave nothing out."""
+    """Show functions without the old names of their arguments (`rayiou.renamed`); leave nothing out."""
     if hasattr(documented, "__wrapped__"):
         vars(documented).pop("__signature__", None)
 

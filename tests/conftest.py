@@ -33,7 +33,7 @@ sys.path[:0] = [
             "report/wandb",
             "world/render",
             "task",
-            "metric",
+            "rayiou",
             "model/lifter",
             "data/formats",
             "viewer",

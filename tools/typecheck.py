@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = [f"tests/{name}" for name in ("camera", "geometry", "loss", "model")]
+FOLDERS = [f"tests/{name}" for name in ("camera", "loss", "model", "rayiou")]
 COMMAND = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
 COMMAND += ["-c", str(ROOT / "pyproject.toml"), "--jaxtyping-packages=omniocc,beartype.beartype"]
 WRONG = """

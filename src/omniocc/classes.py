@@ -8,12 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-FREE = 0
-"""Id of free space in every table."""
-UNKNOWN = 255
-"""Id of unlabelled cells and pixels; in no table."""
-MOST_SHOWN = 8
-"""Wrong ids that messages name."""
+from rayiou.labels import FREE, NUM_CLASSES, UNKNOWN
 
 
 class SemanticClass(NamedTuple):
@@ -22,17 +17,6 @@ class SemanticClass(NamedTuple):
     id: int
     name: str
     rgb: tuple[int, int, int]
-
-
-def ids_beyond(labels: np.ndarray, num_classes: int, first: int = FREE) -> list[int | float]:
-    """Return some of the ids in labels that are neither 255 (unknown) nor whole numbers from `first` to the last class.
-
-    Labels are of any shape and type: negative numbers, fractions and nan are no ids either.
-    """
-    wrong = ~((labels >= first) & (labels < num_classes)) & (labels != UNKNOWN)
-    if labels.dtype.kind == "f":
-        wrong |= labels != np.floor(labels)
-    return np.unique(labels[wrong])[:MOST_SHOWN].tolist() if wrong.any() else []
 
 
 @dataclass(frozen=True)
@@ -122,4 +106,4 @@ OCCUPANCY_CLASSES = ClassTable(
     (SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130)))
 )
 """Two classes, for points of a LiDAR without classes."""
-NUM_CLASSES = WORLD_CLASSES.num_classes
+assert WORLD_CLASSES.num_classes == NUM_CLASSES

@@ -1,7 +1,7 @@
 """Check rays against brute force on many random grids: `python tests/bench/check_rays.py [rays] [seed]`.
 
 For every ray all crossings with all surfaces are computed in float64 and sorted; the midpoint between two of them gives
-the cell (`reference` in tests/geometry/raycast/test_trace.py). Cells must agree in number and order; the largest
+the cell (`reference` in tests/rayiou/raycast/test_trace.py). Cells must agree in number and order; the largest
 difference of a distance is printed. First hits in random labels, by the compiled kernels and by tensors, must be the
 first occupied cell of the path. Some rays are vertical or level, start on faces, on the axis or outside, or pass
 through the axis.
@@ -19,14 +19,14 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "src"))
 
 from omniocc.geometry import Cuboid, Cylinder  # noqa: E402
-from omniocc.geometry.raycast.fans import Fans  # noqa: E402
-from omniocc.geometry.raycast.tensor_table import TensorTable  # noqa: E402
+from rayiou.raycast.fans import Fans  # noqa: E402
+from rayiou.raycast.tensor_table import TensorTable  # noqa: E402
 
 RAYS_PER_GRID = 1000
 
 
 def load(name: str) -> ModuleType:
-    """Return a test module of tests/geometry/raycast."""
+    """Return a test module of tests/rayiou/raycast."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / "geometry" / "raycast" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

@@ -10,8 +10,8 @@ from made_page import CUBOID, CYLINDER, rig, street
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.geometry.surface import surface
 from omniocc.viewer.page.pack import Packed
+from rayiou.surface import surface
 
 pytestmark = pytest.mark.browser
 HOLLOW = Cylinder((7, 9, 5), (1.5, 12.0), (-2.0, 2.0))

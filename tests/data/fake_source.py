@@ -11,7 +11,7 @@ from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.labels.counts import all_frames, count_classes
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, LidarScan, SourceSpec
 from omniocc.geometry import Cuboid, Grid
-from omniocc.geometry.directions import RayOrigins
+from rayiou.directions import RayOrigins
 
 CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (10 * k, 255 - 10 * k, k)) for k in range(19)))
 GRID = Cuboid((20, 16, 4), (-40.0, 40.0), (-32.0, 32.0), (-1.0, 5.4))

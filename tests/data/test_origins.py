@@ -10,7 +10,7 @@ from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.origins import choose_origins, scene_origins
 from omniocc.data.source import BenchmarkFrame
 from omniocc.geometry import Cylinder
-from omniocc.geometry.directions import RayOrigins
+from rayiou.directions import RayOrigins
 
 GRID = Cylinder(shape=(8, 10, 4), radius_m=(0.0, 8.0), height_m=(-2.8, 3.6))
 OWN = RayOrigins(torch.tensor([[1.0, 2.0, 3.0]], dtype=torch.float64), torch.tensor([-4]))

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.geometry.directions import rays_around
 from omniocc.loss import FirstHit
 from omniocc.loss.first_hit import LEAST, RayCells, first_hits
 from omniocc.metric import RayIoU
+from rayiou.directions import rays_around
 
 WITHIN_M = (1.0, 2.0, 4.0)
 LINE = RayCells(torch.tensor([[0, 1, 2, 4]]), torch.tensor([[0.0, 1.0, 2.0, math.inf]]))  # three of four cells

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from omniocc.camera.masks import lenses_that_do_not_fit
-from omniocc.classes import FREE, UNKNOWN, ids_beyond
+from omniocc.classes import FREE, UNKNOWN
 from omniocc.data.formats.clouds import out_of_reach
 from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.recording.pool import mapped
@@ -22,6 +22,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
+from rayiou.labels import ids_beyond
 
 MAX_SPEED_MPS, MAX_TURN_DEG_PER_S = 70.0, 360.0
 """Beyond these the poses of a recorded log are wrong, or in another unit."""

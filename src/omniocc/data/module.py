@@ -22,7 +22,7 @@ from omniocc.data.source import SPLITS, SceneSource, SourceSpec, Split, Unknown,
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.geometry.directions import rays_around
+from rayiou.directions import rays_around
 
 
 class OccupancyData(LightningDataModule):

@@ -4,7 +4,7 @@ from typing import Literal
 
 from omniocc.data.source import SceneFrames
 from omniocc.geometry import Grid
-from omniocc.geometry.directions import RayOrigins, trajectory_origins
+from rayiou.directions import RayOrigins, trajectory_origins
 
 Origins = Literal["own", "ego", "trajectory"]
 """`own`: those of the dataset's protocol, else the ego origin; `ego`: the ego origin of the scored frame; `trajectory`:
@@ -16,7 +16,7 @@ def scene_origins(scene: SceneFrames, frame: int, grid: Grid) -> RayOrigins:
     """Return where the ego origin was before, at and after a frame, by the rule of the public RayIoU.
 
     Of all recorded frames of the scene, at most eight whose ego origin lies more than 1 m inside of the grid's sides;
-    see `omniocc.geometry.directions.trajectory_origins` for the rule and its source.
+    see `rayiou.directions.trajectory_origins` for the rule and its source.
 
     Args:
         scene: with the pose of every frame.

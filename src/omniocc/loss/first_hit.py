@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
-from omniocc.geometry.directions import rays_around
+from rayiou.directions import rays_around
 
 LEAST = 1e-3
 """Added to the probability of a correct hit in its logarithm, so that single rays cannot dominate."""

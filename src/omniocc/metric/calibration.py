@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from omniocc.metric.checks import Array, as_tensors, check_mask, check_real
-from omniocc.metric.plot import new_axes, plot_scores
-from omniocc.metric.renamed import renamed
-from omniocc.metric.setting import CountMetric, hash_of
+from rayiou.checks import Array, as_tensors, check_mask, check_real
+from rayiou.plot import new_axes, plot_scores
+from rayiou.renamed import renamed
+from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,12 +9,12 @@ from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
-from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.metric.checks import Array, as_tensors, check_grid, check_labels, check_mask
-from omniocc.metric.plot import plot_scores
-from omniocc.metric.renamed import renamed
-from omniocc.metric.setting import CountMetric, hash_of
+from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
+from rayiou.checks import Array, as_tensors, check_grid, check_labels, check_mask
+from rayiou.cylinder import PAPER_RANGE_EDGES_M
+from rayiou.plot import plot_scores
+from rayiou.renamed import renamed
+from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.metric.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
-from omniocc.metric.plot import plot_scores
-from omniocc.metric.renamed import renamed
-from omniocc.metric.setting import CountMetric, hash_of
+from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
+from rayiou.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
+from rayiou.plot import plot_scores
+from rayiou.renamed import renamed
+from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ import torch
 
 from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write, parse_json, read_short_text
-from omniocc.metric.ray_counts import RayCounts, ray_scores
+from rayiou.ray_counts import RayCounts, ray_scores
 
 SCENES = "scenes.json"
 RAYS, LIDAR, MOVING = "rays", "lidar", "moving"

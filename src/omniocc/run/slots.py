@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from omniocc.config import target_of
+from omniocc.config import OWN_PACKAGE, target_of
 from omniocc.model.protocols import learns
 
 
@@ -29,7 +29,9 @@ def option_of(node: Mapping[Any, Any]) -> str:
     Of a class of another package, whose files may have any names, it is the name of the class.
     """
     target = target_of(node)
-    return target.__module__.rpartition(".")[2] if target.__module__.startswith("omniocc.") else target.__name__
+    return (
+        target.__module__.rpartition(".")[2] if target.__module__.partition(".")[0] in OWN_PACKAGE else target.__name__
+    )
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:

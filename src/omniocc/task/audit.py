@@ -15,12 +15,12 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.model.ops.evidence import LOG_ODDS
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.progress import Progress
 from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.scores import Scores
+from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
 
 THRESHOLDS = (0.08, 0.15, 0.25, 0.35, 0.5)
 """Probabilities at which the sketch is cut, to compare its geometry with the model's."""

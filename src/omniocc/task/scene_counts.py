@@ -12,10 +12,10 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
 from omniocc.data.store.reader import SceneReader
 from omniocc.metric import RayTruth
-from omniocc.metric.ray_counts import RayCounts
 from omniocc.run.distributed import from_all
 from omniocc.run.scenes import LIDAR, MOVING, RAYS, Counted, save_scenes
 from omniocc.task.scores import Scores
+from rayiou.ray_counts import RayCounts
 
 
 class SceneCounts:

@@ -13,7 +13,7 @@ from omniocc.classes import FREE
 from omniocc.data import SourceSpec
 from omniocc.geometry import Cuboid, Cylinder, Grid, look_up
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
-from omniocc.metric.ray_counts import TIMES
+from rayiou.ray_counts import TIMES
 
 FINE_M = (0.25, 0.5, 1.0)
 """A second set of thresholds of RayIoU, ParkOcc's; m."""

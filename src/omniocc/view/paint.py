@@ -13,9 +13,9 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.geometry.raycast.fans import Fans
-from omniocc.geometry.raycast.table import RayTable
 from omniocc.view.canvas import Images, Labels, fitted
+from rayiou.raycast.fans import Fans
+from rayiou.raycast.table import RayTable
 
 COARSE = 2
 """Side in pixels of the squares that are drawn from one ray."""

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.geometry.surface import face_corners, surface
 from omniocc.view.canvas import Labels
+from rayiou.surface import face_corners, surface
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])

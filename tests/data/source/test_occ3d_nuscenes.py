@@ -19,8 +19,8 @@ from omniocc.data.source.occ3d_nuscenes import GRID, ORIGIN_M, Occ3DNuScenes, Oc
 from omniocc.errors import DataError
 from omniocc.geometry import Cylinder
 from omniocc.metric import RayIoU
-from omniocc.metric.voxel_iou import voxel_confusion, voxel_scores
 from omniocc.task.scores import Scores
+from rayiou.voxel_iou import voxel_confusion, voxel_scores
 
 PANORAMA = (64, 32, 45.0, -45.0)
 COARSE = Cylinder((16, 24, 8), (0.0, 32.0), (-2.8, 3.6))

@@ -9,12 +9,12 @@ from made_scenes import FRAMES, RIG, SCENES
 from recordings import below, read
 
 from omniocc.classes import WORLD_CLASSES
-from omniocc.geometry.surface import surface, with_area
 from omniocc.viewer.collect import open_shown
 from omniocc.viewer.frames import Shown
 from omniocc.viewer.options import ViewOptions
 from omniocc.viewer.timeline.paths import grid_name
 from omniocc.viewer.timeline.show import show
+from rayiou.surface import surface, with_area
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 EVIL = 'a/b <script>alert(1)</script> \\ ünï: "x" ../../{c}\n[d]$origin/**'

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Camera
-from omniocc.classes import MOST_SHOWN
 from omniocc.data.formats.arrays import npy_array, npz_arrays
 from omniocc.errors import DataError, first_line, in_line
 from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
 from omniocc.io import read_bytes, text_of, twice
+from rayiou.labels import MOST_SHOWN
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01

@@ -12,12 +12,12 @@ from filelock import FileLock
 from jaxtyping import Int64
 from torch import Tensor
 
-from omniocc.classes import ids_beyond
 from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.zstd import decompress
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
+from rayiou.labels import ids_beyond
 
 Frames = Sequence[tuple[SceneFrames, int]]
 

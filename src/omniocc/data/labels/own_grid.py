@@ -70,7 +70,7 @@ class LazyLabels(ABC):
 
 
 class OwnGridLabels(LazyLabels):
-    """Labels of the dataset's own grid, resampled if the model has another (`omniocc.geometry.resample`).
+    """Labels of the dataset's own grid, resampled if the model has another (`rayiou.resample`).
 
     Args:
         folder: see `LazyLabels`.

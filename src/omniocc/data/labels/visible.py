@@ -13,8 +13,8 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
-from omniocc.compiled import compiled
 from omniocc.geometry import Cuboid
+from rayiou.compiled import compiled
 
 MaskKind = Literal["field_of_view", "ray_traced"]
 MASKS: tuple[MaskKind, ...] = ("field_of_view", "ray_traced")

@@ -7,8 +7,8 @@ from omniocc.camera import Equirectangular
 from omniocc.camera.protocol import finite, numbers, positive
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
-from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
-from omniocc.geometry.directions import sparseocc_directions
+from rayiou.cylinder import PAPER_RANGE_EDGES_M
+from rayiou.directions import sparseocc_directions
 
 MOST_EDGES = 100
 """Most ends of bands of ranges that are read."""

@@ -14,7 +14,7 @@ from omniocc.camera import Rig
 from omniocc.classes import ClassTable
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.geometry.directions import RayOrigins
+from rayiou.directions import RayOrigins
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")

@@ -31,8 +31,8 @@ from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Cuboid, Grid
-from omniocc.geometry.directions import RayOrigins, eight_frames
 from omniocc.io import atomic_write
+from rayiou.directions import RayOrigins, eight_frames
 
 SHAPE = (200, 200, 16)
 ORIGIN_M = (0.8, 0.0, 1.8)

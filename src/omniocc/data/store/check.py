@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.classes import NUM_CLASSES, ids_beyond
+from omniocc.classes import NUM_CLASSES
 from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.labels.class_fractions import count_voxels
 from omniocc.data.recording.pool import mapped
@@ -17,6 +17,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from rayiou.labels import ids_beyond
 
 MAX_SPEED_MPS = 25.0
 MAX_TURN_DEG_PER_S = 120.0

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, UNKNOWN, ids_beyond
+from omniocc.classes import FREE, UNKNOWN
 from omniocc.data.labels.moving import hits_of_moving
 from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import (
@@ -31,7 +31,8 @@ from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
 from omniocc.data.store.shard import digest, shard_name
 from omniocc.errors import DataError
-from omniocc.geometry.directions import sparseocc_directions
+from rayiou.directions import sparseocc_directions
+from rayiou.labels import ids_beyond
 
 T = TypeVar("T")
 FROM_LOG = "log"

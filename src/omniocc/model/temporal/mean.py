@@ -6,9 +6,9 @@ from torch import Tensor, nn
 
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
-from omniocc.geometry.warp import interpolate
 from omniocc.model.ops.static import is_static
 from omniocc.model.protocols import Volumes
+from rayiou.warp import interpolate
 
 
 class Mean(nn.Module):

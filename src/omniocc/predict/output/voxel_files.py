@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import ClassTable, SemanticClass, ids_beyond
+from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
@@ -18,6 +18,7 @@ from omniocc.io import atomic_write
 from omniocc.predict.output.ply import ply_bytes
 from omniocc.predict.output.voxel_mesh import voxel_mesh
 from omniocc.predict.predictor import Prediction
+from rayiou.labels import ids_beyond
 
 VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
 

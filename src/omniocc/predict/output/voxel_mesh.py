@@ -8,7 +8,7 @@ from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.geometry.surface import surface, with_area
+from rayiou.surface import surface, with_area
 
 
 class VoxelMesh(NamedTuple):

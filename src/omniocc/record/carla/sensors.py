@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import FACES, CubeLookup, look_up_rays
 from omniocc.data.formats.unreal import SENSOR_FROM_OPTICAL, unreal_pose
-from omniocc.geometry.directions import sparseocc_directions
+from rayiou.directions import sparseocc_directions
 
 CAMERAS = {
     "rgb": "sensor.camera.rgb",

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.geometry.surface import surface, with_area
 from omniocc.view.bev import HALLUCINATED, MISSED, WRONG
 from omniocc.view.voxels import LIGHT
+from rayiou.surface import surface, with_area
 
 Rgb = tuple[int, int, int]
 DIFFERENCES: dict[str, Rgb] = {"missed": MISSED, "hallucinated": HALLUCINATED, "wrong class": WRONG}

@@ -16,7 +16,7 @@ import llvmlite.binding
 import numpy as np
 from numba.core import types
 
-from omniocc.compiled import compiled
+from rayiou.compiled import compiled
 
 WIDTH = 8
 _RAY, _HIT = 12 * WIDTH, 9 * WIDTH  # numbers in RTCRay8 and RTCHit8

@@ -1,6 +1,6 @@
 """Colours of rays from their hits, compiled by numba: texture, sun, sky, reflection, lamps, haze; borders; exposure.
 
-All kernels are in one file, see `omniocc.compiled`. Arrays of R rays are (3, R) for points, directions and colours.
+All kernels are in one file, see `rayiou.compiled`. Arrays of R rays are (3, R) for points, directions and colours.
 """
 
 from math import exp, floor, sqrt
@@ -8,13 +8,13 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from omniocc.compiled import compiled
 from omniocc.world.assets.building import STOREY_M
 from omniocc.world.render.lamp import CELL_M, SIDE
 from omniocc.world.render.light import Light
 from omniocc.world.render.sky import CLOUDS_PX
 from omniocc.world.render.surface import COLOR, EMITTED, GLAZED, GLOSS, LAYER, NORMAL, UV, UV_EDGE_1, UV_EDGE_2
 from omniocc.world.render.texture.atlas import LAYER_PX, LEVEL_START, LEVELS, MACRO_M, SIZE_PX
+from rayiou.compiled import compiled
 
 LIFT_M = 0.02
 """Start of shadow rays above their surface."""

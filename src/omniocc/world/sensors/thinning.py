@@ -4,8 +4,8 @@ from typing import no_type_check
 
 import numpy as np
 
-from omniocc.compiled import compiled
 from omniocc.world.mesh.label import POLE, ROADLINE
+from rayiou.compiled import compiled
 
 REACH_M = 26.0  # points farther off in x or y are not kept
 HEIGHT_M = 6.0  # points farther above or below the ego origin are not kept

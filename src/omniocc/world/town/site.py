@@ -6,12 +6,12 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from omniocc.compiled import compiled
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate, instances
 from omniocc.world.mesh.shape import Color, Number, Triple, upright
 from omniocc.world.town.road import KERB_M
 from omniocc.world.town.terrain import Terrain
+from rayiou.compiled import compiled
 
 _CELL_M = 0.4
 _SAMPLE_M = 0.28

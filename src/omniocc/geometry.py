@@ -1,0 +1,35 @@
+"""Voxel grids around the vehicle, which are those of `rayiou`."""
+
+from rayiou import (
+    Cuboid,
+    Cylinder,
+    Fans,
+    Grid,
+    Hits,
+    Paths,
+    RayTable,
+    Scan,
+    cells_of_middles,
+    downsample,
+    look_up,
+    majority,
+    ray_table,
+    resample,
+)
+
+__all__ = [
+    "Cuboid",
+    "Cylinder",
+    "Fans",
+    "Grid",
+    "Hits",
+    "Paths",
+    "RayTable",
+    "Scan",
+    "cells_of_middles",
+    "downsample",
+    "look_up",
+    "majority",
+    "ray_table",
+    "resample",
+]

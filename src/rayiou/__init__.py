@@ -1,0 +1,43 @@
+"""RayIoU and voxel IoU of semantic occupancy on any voxel grid, as torchmetrics metrics, and rays through voxels.
+
+It needs torch, torchmetrics, numba and jaxtyping, and knows no dataset and no camera.
+"""
+
+from rayiou.cuboid import Cuboid
+from rayiou.cylinder import Cylinder
+from rayiou.directions import RayOrigins, eight_origins, sparseocc_directions, trajectory_origins
+from rayiou.grid import Grid
+from rayiou.ray_hits import ray_hits
+from rayiou.ray_iou import RayIoU, RayTruth, ray_iou
+from rayiou.raycast.fans import Fans, Scan
+from rayiou.raycast.table import RayTable, ray_table
+from rayiou.raycast.trace import Hits, Paths
+from rayiou.resample import cells_of_middles, look_up, resample
+from rayiou.vote import downsample, majority
+from rayiou.voxel_iou import VoxelIoU
+
+__all__ = [
+    "Cuboid",
+    "Cylinder",
+    "Fans",
+    "Grid",
+    "Hits",
+    "Paths",
+    "RayIoU",
+    "RayOrigins",
+    "RayTable",
+    "RayTruth",
+    "Scan",
+    "VoxelIoU",
+    "cells_of_middles",
+    "downsample",
+    "eight_origins",
+    "look_up",
+    "majority",
+    "ray_hits",
+    "ray_iou",
+    "ray_table",
+    "resample",
+    "sparseocc_directions",
+    "trajectory_origins",
+]

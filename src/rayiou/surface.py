@@ -1,0 +1,66 @@
+"""The surface of occupied cells, from which images and meshes of voxels are drawn."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from rayiou.grid import Grid
+
+AROUND = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+"""Corners of a face along the two axes in its plane, in turn."""
+FLAT_M2 = 1e-9
+"""Area of a face that counts as none."""
+
+
+class Surface(NamedTuple):
+    """Faces of occupied cells.
+
+    Attributes:
+        corners_m: (F, 4, 3) float64, ego frame, counter-clockwise seen from outside.
+        cells: (F,) row-major index of the occupied cell that each face belongs to.
+    """
+
+    corners_m: np.ndarray
+    cells: np.ndarray
+
+
+def surface(occupied: Bool[Tensor, "X Y Z"], geometry: Grid) -> Surface:
+    """Return the faces between an occupied cell and a neighbour that is not occupied or is outside the grid.
+
+    Faces come axis by axis, lower before upper, cells in row-major order. A cylinder's curved faces are drawn flat, as
+    chords; at its axis, faces have no area.
+    """
+    solid = occupied.reshape(-1).numpy()
+    neighbors = geometry.neighbors().reshape(-1, 6).numpy()
+    edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
+    lattice = geometry.from_axes(*edges).numpy()
+    corners, cells = [], []
+    for side in range(6):
+        beyond = neighbors[:, side]
+        exposed = np.flatnonzero(solid & ~((beyond >= 0) & solid[beyond]))
+        index = np.stack(np.unravel_index(exposed, geometry.shape), 1)[:, None] + face_corners(side // 2, side % 2)
+        corners.append(lattice[tuple(np.moveaxis(index, -1, 0))])
+        cells.append(exposed)
+    return Surface(np.concatenate(corners), np.concatenate(cells))
+
+
+def with_area(found: Surface) -> Surface:
+    """Return the faces that have an area: those at the axis of a cylinder have none."""
+    quads = found.corners_m
+    diagonals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
+    solid = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2
+    return Surface(quads[solid], found.cells[solid])
+
+
+def face_corners(axis: int, upper: int) -> np.ndarray:
+    """Return the corners (4, 3) of a unit cell's lower (0) or upper (1) face, counter-clockwise seen from outside.
+
+    Axes in cyclic order are right-handed in every grid, in a cylinder (r, theta, z) too.
+    """
+    corners = np.zeros((4, 3), dtype=np.int64)
+    corners[:, axis] = upper
+    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = AROUND if upper else AROUND[::-1]
+    return corners
