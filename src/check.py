@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omniocc.check import read_back
 from omniocc.config import compose_config
-from omniocc.data.recording.pool import usable_cores
+from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 

@@ -16,8 +16,9 @@ from pathlib import Path
 
 from omniocc.data.origins import ORIGINS
 from omniocc.evaluate import Evaluation
+from omniocc.extras.robustness.command import score_robustness
+from omniocc.extras.robustness.parts import UNSEEN, parts_of
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
-from omniocc.task.robustness.parts import UNSEEN, parts_of
 
 
 def parser_of() -> argparse.ArgumentParser:
@@ -48,7 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
     if asked.conflict is not None:
         parser.error(asked.conflict)
     quiet_libraries()
-    asked.run()
+    asked.run() if asked.robustness is None else score_robustness(asked)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from omniocc.mask import mask_own_car
 from omniocc.predict.options import require
 from omniocc.run.script import script
+from omniworld.mask import mask_own_car
 
 
 @script("mask")

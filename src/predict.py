@@ -9,11 +9,11 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from omniocc.extras.viewer.command import shown
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.submission import changed_places, predict_submission
 from omniocc.run.script import quiet_libraries, script
-from omniocc.viewer.command import shown
 
 
 @script("predict_depth")

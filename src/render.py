@@ -5,11 +5,11 @@ from typing import cast
 from omegaconf import DictConfig
 
 from omniocc.config import check
-from omniocc.data import VirtualWorld
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.render import use_world
 from omniocc.run.script import script
+from omniworld import VirtualWorld
+from omniworld.command import use_world
 
 
 @script("render")

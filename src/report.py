@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from omniocc.report.dataset.table import dataset_part, load_dataset_table, with_folders
+from omniocc.report.datasets import dataset_part, load_dataset_table, with_folders
 from omniocc.report.keep import keep_records
 from omniocc.report.sweep import read_sweeps
 from omniocc.report.tables.compare import comparison_text

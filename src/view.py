@@ -2,9 +2,9 @@
 
 from omegaconf import DictConfig
 
+from omniocc.extras.viewer.command import view
+from omniocc.extras.viewer.options import options_of
 from omniocc.run.script import quiet_libraries, script
-from omniocc.viewer.command import view
-from omniocc.viewer.options import options_of
 
 
 @script("view")

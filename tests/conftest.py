@@ -14,8 +14,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from omniocc.data import SourceSpec
-from omniocc.data.source.virtual import world_spec
 from omniocc.model import OccupancyModel
+from omniworld.source import world_spec
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)

@@ -74,7 +74,7 @@ def exists(name: str) -> bool:
         try:
             found = importlib.import_module(".".join(parts[:end]))
         except ModuleNotFoundError as error:
-            if not (error.name or "").startswith("omniocc"):
+            if not (error.name or "").startswith(("omniocc", "omniworld", "rayiou")):
                 raise
             continue
         for part in parts[end:]:

@@ -286,8 +286,8 @@ def test_masks_as_arrays(tmp_path):
 
 
 OWN = {
-    "omniocc/images.py", "omniocc/data/store/codec.py", "omniocc/data/disturb/images.py", "omniocc/report/frames.py",
-    "omniocc/evaluate.py",
+    "omniocc/images.py", "omniocc/data/store/codec.py", "omniocc/data/augment/degrade.py", "omniocc/report/frames.py",
+    "omniocc/extras/robustness/command.py",
 }  # fmt: skip
 """Files that may decode images: the reader of users' files; what this program itself has written or holds in memory."""
 

@@ -12,8 +12,8 @@ from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.config import build
 from omniocc.errors import UserError
-from omniocc.mask import read_car
-from omniocc.world.render.own_car import mask_ego_car
+from omniworld.mask import read_car
+from omniworld.render.own_car import mask_ego_car
 
 
 @pytest.fixture(scope="module")

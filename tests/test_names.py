@@ -16,8 +16,8 @@ from omniocc.data.formats.index import Index
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SceneWriter, digest
 from omniocc.errors import DataError, UserError
+from omniocc.extras.record.scene import check_name
 from omniocc.io import checked_name
-from omniocc.record.scene import check_name
 from omniocc.report.runs import read_runs
 from omniocc.run.folder import open_run
 from omniocc.run.results import save_results

@@ -33,7 +33,11 @@ def test_one_module_builds_from_a_configuration():
 def test_no_module_asks_for_the_class_of_an_option_of_a_slot():
     """Protocols and attributes say what an option can do; only options of one slot know each other."""
     texts = [path.read_text() for path in (ROOT / "conf").rglob("*.yaml")]
-    slots = {name.rpartition(".")[2]: name for text in texts for name in re.findall(r"_target_: (omniocc[\w.]+)", text)}
+    slots = {
+        name.rpartition(".")[2]: name
+        for text in texts
+        for name in re.findall(r"_target_: (omni(?:occ|world)[\w.]+)", text)
+    }
     assert {"VirtualWorld", "Omni", "NoSemanticHead", "CarlaRecorder"} <= slots.keys()
     asked = []
     for path in SOURCES:

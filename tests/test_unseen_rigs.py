@@ -6,9 +6,9 @@ import torch
 import unseen_rigs
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.camera.drawn import COUNTS, HEIGHT_M, LENSES, RADIUS_M
 from omniocc.model.depth import Spheres
 from omniocc.model.ops.depth.depth_map import from_index
+from omniworld.drawn import COUNTS, HEIGHT_M, LENSES, RADIUS_M
 
 NAMES = tuple(unseen_rigs.UNSEEN)
 PANORAMA = Equirectangular(48, 12, 45.0, -45.0)

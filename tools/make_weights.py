@@ -17,7 +17,6 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import compose_config
-from omniocc.data import VirtualWorld
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.reader import SceneReader
@@ -35,6 +34,7 @@ from omniocc.run.script import quiet_libraries
 from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
 from omniocc.task.depth import FARTHEST_M
 from omniocc.task.stage_keys import stage_keys
+from omniworld import VirtualWorld
 
 ROOT = Path(__file__).parents[1]
 RECIPES = ROOT / "tools" / "weights"

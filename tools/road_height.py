@@ -22,7 +22,6 @@ from torch import Tensor, nn
 from unseen_rigs import PIXELS, data_of, overrides_of
 
 from omniocc.camera import Rig
-from omniocc.camera.drawn import rig_at, ring_places
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
 from omniocc.data.labels.counts import all_frames
@@ -34,6 +33,7 @@ from omniocc.predict import load
 from omniocc.predict.road import flat_road_m, pulled_to_road
 from omniocc.run.script import quiet_libraries
 from omniocc.run.table import markdown
+from omniworld.drawn import rig_at, ring_places
 
 SEEDS = (100, 101, 102, 103)
 HEIGHT_M = 1.2

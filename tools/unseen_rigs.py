@@ -1,6 +1,6 @@
 """Score a depth network on twelve rigs that training never draws: `python tools/unseen_rigs.py any-rig`.
 
-Each has a lens, a height, a number of cameras or a radius that `omniocc.camera.drawn` leaves out. `--own 3` also trains
+Each has a lens, a height, a number of cameras or a radius that `omniworld.drawn` leaves out. `--own 3` also trains
 a network for each of the rigs in `OWN`, 800 steps on that rig alone, and scores it beside the other.
 """
 
@@ -17,7 +17,6 @@ from make_weights import folder_of, train
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.camera.drawn import car_places, rig_at, ring_places
 from omniocc.config import compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
@@ -31,6 +30,7 @@ from omniocc.predict import load
 from omniocc.progress import Progress
 from omniocc.run.script import quiet_libraries
 from omniocc.task.depth import FARTHEST_M, judged
+from omniworld.drawn import car_places, rig_at, ring_places
 
 ROOT = Path(__file__).parents[1]
 PIXELS = 256 * 144

@@ -2,7 +2,8 @@
 
 Takes three and the bundler esbuild from npm (whose client checks their published hashes) and writes `three.min.js`,
 the licence and `VERSION`, which names the version and the SHA-256 of the bundle, into
-`src/omniocc/viewer/page/vendor`. `--check` bundles the version named there again and compares, and writes nothing.
+`src/omniocc/extras/viewer/page/vendor`. `--check` bundles the version named there again and compares, and writes
+nothing.
 """
 
 import argparse
@@ -13,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-FOLDER = Path(__file__).parents[1] / "src" / "omniocc" / "viewer" / "page" / "vendor"
+FOLDER = Path(__file__).parents[1] / "src" / "omniocc" / "extras" / "viewer" / "page" / "vendor"
 ESBUILD = "0.28.2"
 NAMES = (
     "BufferAttribute", "BufferGeometry", "Color", "DataTexture", "DoubleSide", "Group", "LineBasicMaterial",

@@ -12,13 +12,14 @@ from pathlib import Path
 
 
 @functools.cache
-def code_fingerprint(folder: Path, without: str = "__pycache__") -> str:
+def code_fingerprint(folder: Path, without: tuple[str, ...] = (), also: tuple[Path, ...] = ()) -> str:
     """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout.
 
-    Subfolders named `without` do not count.
+    Subfolders and files named in `without` do not count; the files `also` do.
     """
     modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
-    left_out = {"__pycache__", without}
+    modules |= {path.name: path for path in also}
+    left_out = {"__pycache__", *without}
     return _digest({name: path for name, path in modules.items() if not left_out & set(name.split("/"))})
 
 

@@ -26,7 +26,7 @@ Options = TypeVar("Options")
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
 VERSION_BASE = "1.3"
-OWN_PACKAGE = ("omniocc", "rayiou")
+OWN_PACKAGE = ("omniocc", "omniworld", "rayiou")
 PACKAGES = (*OWN_PACKAGE, "lightning", "torch")
 """Packages whose classes a configuration from the command line may name."""
 PACKAGES_VARIABLE = "OMNIOCC_PACKAGES"

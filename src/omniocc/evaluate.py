@@ -2,36 +2,25 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
 from omniocc.config import compose_config
 from omniocc.data.origins import Origins
-from omniocc.errors import UserError, installing
-from omniocc.io import atomic_write
+from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
-from omniocc.report.tables.formats import parts_text
-from omniocc.report.tables.robustness import report_parts, robustness_csv
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
-from omniocc.run.robustness import FOLDER, Robustness, save_robustness
-from omniocc.run.table import in_columns
 from omniocc.run.trust import CONF
-from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.robustness import log_robustness
 from omniocc.run.weights import SHIPPED, find_checkpoint
 from omniocc.task import StepProgress
 from omniocc.task.audit import audit
 from omniocc.task.images import OccupancyImages
-from omniocc.task.robustness.evaluation import robustness_of, system_of
 from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.submission import score_files
 
@@ -96,8 +85,6 @@ class Evaluation:
             return score_predictions(self)
         if not self.checkpoints:
             raise UserError("name a checkpoint, a shipped file of weights, or predictions=folder")
-        if self.robustness is not None:
-            return score_robustness(self)
         return each(self.checkpoints, self._score)
 
     def _score(self, checkpoint: Path) -> None:
@@ -158,45 +145,6 @@ def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
     show_results(folder)
 
 
-def score_robustness(options: Evaluation) -> None:
-    """Score checkpoints under disturbances; write and log the results, print the comparison."""
-    logging = [word for word in options.overrides if word.startswith("logger.")]
-    others = [word for word in options.overrides if word not in logging]
-    logger: Loggers = Parts(compose_config(CONF, "train", logging)).loggers()
-    records: list[Robustness] = []
-
-    def score(checkpoint: Path) -> None:
-        folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
-        one, wanted = opened(checkpoint, others), options.robustness or ()
-        record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder)
-        save_robustness(folder, record)
-        atomic_write(folder / "table.md", parts_text(report_parts([record])))
-        atomic_write(folder / "table.csv", robustness_csv([record], {}))
-        log_robustness(logger.build(folder, one.task.config, "robustness"), record, draw([record], folder))
-        records.append(record)
-        print(f"table     {folder / 'table.md'}", flush=True)
-
-    try:
-        each(options.checkpoints, score)
-    finally:
-        if records:
-            tables = [f"{in_columns(*part.cells)}\n\n{part.note}" for part in report_parts(records)]
-            print("\n\n".join(["", *tables, "all systems: python src/report.py"]))
-
-
-def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
-    """Write the plot of a test, and return it as an RGB image; None without matplotlib."""
-    if find_spec("matplotlib") is None:
-        print(f"No plot: matplotlib is missing: {installing('plot')}")
-        return None
-    from omniocc.report.plots.robustness import drops
-    from omniocc.report.plots.svg import as_png
-
-    path = folder / "robustness.png"
-    atomic_write(path, png := as_png(drops(records)))
-    return cv2.cvtColor(np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
-
-
 def folder_of(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:
     """Return the folder of results: `name` beside the checkpoint, or in `output`, where systems may have their own."""
     if output is not None:
@@ -215,3 +163,8 @@ def score_predictions(options: Evaluation) -> None:
     facts = {"predictions": str(folder), "commit": git_commit(), "data": source.fingerprint, PROTOCOL: protocol}
     save_results(output, metrics, facts)
     show_results(output)
+
+
+def system_of(checkpoint: Path) -> str:
+    """Return the name of a system: that of its run, or of the shipped weights."""
+    return checkpoint.stem if checkpoint.parent == SHIPPED else checkpoint.absolute().parent.name

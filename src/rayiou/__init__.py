@@ -3,18 +3,32 @@
 It needs torch, torchmetrics, numba and jaxtyping, and knows no dataset and no camera.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
 from rayiou.directions import RayOrigins, eight_origins, sparseocc_directions, trajectory_origins
 from rayiou.grid import Grid
-from rayiou.ray_hits import ray_hits
-from rayiou.ray_iou import RayIoU, RayTruth, ray_iou
 from rayiou.raycast.fans import Fans, Scan
 from rayiou.raycast.table import RayTable, ray_table
 from rayiou.raycast.trace import Hits, Paths
 from rayiou.resample import cells_of_middles, look_up, resample
 from rayiou.vote import downsample, majority
-from rayiou.voxel_iou import VoxelIoU
+
+if TYPE_CHECKING:
+    from rayiou.first_hits import ray_hits
+    from rayiou.ray_metric import RayIoU, RayTruth, ray_iou
+    from rayiou.voxel_iou import VoxelIoU
+
+METRICS = {
+    "RayIoU": "ray_metric",
+    "RayTruth": "ray_metric",
+    "VoxelIoU": "voxel_iou",
+    "ray_hits": "first_hits",
+    "ray_iou": "ray_metric",
+}
+"""Modules of the metrics, which are imported when they are asked for: torchmetrics takes a second."""
 
 __all__ = [
     "Cuboid",
@@ -41,3 +55,9 @@ __all__ = [
     "sparseocc_directions",
     "trajectory_origins",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in METRICS:
+        return getattr(import_module(f"rayiou.{METRICS[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 from rerun.chunk import RrdReader
 
+from omniocc.extras.viewer.collect import open_shown
+from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
+from omniocc.extras.viewer.options import ViewOptions
+from omniocc.extras.viewer.scenes import rig_at_sizes
+from omniocc.extras.viewer.timeline.show import show
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.viewer.collect import open_shown
-from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.viewer.options import ViewOptions
-from omniocc.viewer.scenes import rig_at_sizes
-from omniocc.viewer.timeline.show import show
 
 GRIDS: dict[str, tuple[Grid, int]] = {
     "tiny, cylinder": (Cylinder((64, 100, 8)), 256),

@@ -17,10 +17,10 @@ import torch
 from omniocc.camera import Rig
 from omniocc.data.store.codec import encode_frame
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.world import THEMES, Frame, Scene
-from omniocc.world.render.capture import expose
-from omniocc.world.render.caster import Caster
-from omniocc.world.render.snapshot import Snapshot
+from omniworld import THEMES, Frame, Scene
+from omniworld.render.capture import expose
+from omniworld.render.caster import Caster
+from omniworld.render.snapshot import Snapshot
 
 INTERVAL_S = 0.5
 GRIDS = (Cylinder((128, 200, 16)), Cuboid((256, 256, 16)))

@@ -16,12 +16,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from omniocc.extras.viewer.collect import show_scenes, with_progress
+from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
+from omniocc.extras.viewer.page import write_page
+from omniocc.extras.viewer.scenes import recorded_scenes
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.run.table import markdown
-from omniocc.viewer.collect import show_scenes, with_progress
-from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.viewer.page import write_page
-from omniocc.viewer.scenes import recorded_scenes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "browser"))
 from chromium import ARGUMENTS, find_chromium, processor_s

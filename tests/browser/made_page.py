@@ -10,9 +10,9 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
+from omniocc.extras.viewer.page import write_page
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.viewer.page import write_page
 
 HEIGHT_M, REACH_M = (-2.8, 3.6), 25.6
 CYLINDER = Cylinder((32, 60, 8), (0.0, REACH_M), HEIGHT_M)

@@ -9,8 +9,8 @@ import torch
 from made_page import CUBOID, CYLINDER, rig, street
 
 from omniocc.classes import FREE, UNKNOWN
+from omniocc.extras.viewer.page.pack import Packed
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.viewer.page.pack import Packed
 from rayiou.surface import surface
 
 pytestmark = pytest.mark.browser

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.camera.drawn import (
+from omniworld.drawn import (
     COUNTS,
     FIELD_DEG,
     HEIGHT_M,

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.camera.drawn import _DRAW, draw_lens
 from omniocc.camera.miscalibrated import moved, rotations, turned, with_focal_factor, with_focal_factors
+from omniworld.drawn import _DRAW, draw_lens
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 AXES = torch.from_numpy(np.random.default_rng(0).standard_normal((6, 3)))

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from omniocc.data.recording.job import ScenePlan
-from omniocc.data.source.virtual import VirtualWorld
-from omniocc.world.frame import Box, Frame
+from omniocc.frame import Box, Frame
+from omniworld.source import ScenePlan, VirtualWorld
 
 CAMERAS, WIDTH, HEIGHT = 6, 32, 18
 RAYS = 14040

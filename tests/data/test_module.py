@@ -188,7 +188,7 @@ def test_it_is_said_where_the_scores_end_before_the_grid_does(root, monkeypatch)
     assert list(make(root).remarks()) == []
     (line,) = make(root, grid=far).remarks()
     assert "neither trained nor scored" in line, "the points of the virtual world end at 26 m"
-    monkeypatch.setattr("omniocc.data.source.virtual.LABELS_REACH_M", None)
+    monkeypatch.setattr("omniworld.source.RENDERED_REACH_M", None)
     (line,) = make(root, grid=far).remarks()
     assert "from 25.6 m on" in line
     assert list(make(root, grid=far, range_edges_m=[0, 40]).remarks()) == []

@@ -7,10 +7,9 @@ import numpy as np
 
 import omniocc
 from omniocc.camera import Rig
-from omniocc.data import VirtualWorld
 from omniocc.data.store import codec
 from omniocc.data.store.check import check_scene
-from omniocc.world import Scene
+from omniworld import Scene, VirtualWorld
 
 
 def test_recorded_frames_equal_those_of_the_world(tmp_path):
@@ -52,7 +51,7 @@ def test_recorded_frames_equal_those_of_the_world(tmp_path):
 
 def test_render_processes_import_neither_lightning_nor_torchmetrics():
     # both take longer to import than everything else together
-    code = "import omniocc.data.source.virtual, sys; print(sorted({'lightning', 'torchmetrics'} & set(sys.modules)))"
+    code = "import omniworld.source, sys; print(sorted({'lightning', 'torchmetrics'} & set(sys.modules)))"
     environment = {**os.environ, "PYTHONPATH": str(Path(omniocc.__file__).parents[1])}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

@@ -11,13 +11,14 @@ import pytest
 import torch
 from fake_scene import FakeWorld
 
-from omniocc.data import DataError, SceneReader, VirtualWorld
+from omniocc.data import DataError, SceneReader
 from omniocc.data.dataset import WindowDataset
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.store import files
 from omniocc.data.store.check import check_scene
 from omniocc.data.store.files import Files, read_members
 from omniocc.geometry import Cuboid
+from omniworld import VirtualWorld
 
 GRID = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))
 

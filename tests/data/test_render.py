@@ -13,10 +13,10 @@ from fake_scene import FakeWorld
 import omniocc
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT
 from omniocc.geometry import Cylinder
-from omniocc.report.dataset.page import UNMEASURED, range_image, save_page
 from omniocc.view.ranges import SKY
+from omniworld.class_fractions import PUBLISHED_PERCENT
+from omniworld.report.page import UNMEASURED, range_image, save_page
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.data import VirtualWorld
 from omniocc.data.labels.observed import observed
 from omniocc.data.labels.voxels import vote
 from omniocc.data.store import codec
 from omniocc.data.store.check import check_scene
 from omniocc.geometry import Cylinder
-from omniocc.world.sensors.lidar import ego_directions
+from omniworld import VirtualWorld
+from omniworld.sensors.lidar import ego_directions
 
 MOVING = (7, 10)
 GRID = Cylinder()

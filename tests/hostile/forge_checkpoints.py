@@ -149,7 +149,7 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
             "_target_": "omniocc.run.fork_server.ForkServer", "script": str(path), "log": f"{mark}.log"
         },
         "scene-writer": {"_target_": "omniocc.data.store.shard.SceneWriter", "folder": mark},
-        "watch-server": {"_target_": "omniocc.viewer.watch.server.Server", "runs": str(box.given), "port": 0},
+        "watch-server": {"_target_": "omniocc.extras.viewer.watch.server.Server", "runs": str(box.given), "port": 0},
         "files-chained": {
             "_target_": "omniocc.data.store.files.Files",
             "folder": f"filecache::{evil.as_uri()}?cache_storage={mark}",
@@ -157,8 +157,10 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "files-object": call("omniocc.data.store.files.Files", folder=f"simplecache::{box.given.as_uri()}"),
         "loggers": call("omniocc.run.wandb.Loggers", project="x", group="x", mode="online", tags=[]),
         "curves": {"_target_": "omniocc.run.wandb.loggers.WandbCurves", "save_dir": mark},
-        "carla": {"_target_": "omniocc.record.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)},
-        "log-files": {"_target_": "omniocc.record.files.LogFiles", "name": "train-0", "log": str(box.given)},
+        "carla": {
+            "_target_": "omniocc.extras.record.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)
+        },
+        "log-files": {"_target_": "omniocc.extras.record.files.LogFiles", "name": "train-0", "log": str(box.given)},
         "checkpoint-io": {"_target_": "omniocc.run.checkpoint_io.AtomicCheckpointIO"},
         "launcher": {"_target_": "hydra_plugins.process_launcher.launcher.ProcessLauncher"},
         "other-slot": {"_target_": "omniocc.model.refiner.NoRefiner"},

@@ -4,9 +4,9 @@ import math
 import pytest
 import torch
 
+from omniocc.extras.rivals import Frustums
+from omniocc.extras.rivals.frustums import frustum_of_cells
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.loss import Frustums
-from omniocc.loss.frustums import frustum_of_cells
 
 GRIDS = [Cylinder((4, 9, 3)), Cuboid((5, 6, 3))]
 ON_GRIDS = pytest.mark.parametrize("geometry", GRIDS, ids=["cylinder", "cuboid"])

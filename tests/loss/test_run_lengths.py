@@ -3,9 +3,9 @@ import itertools
 import pytest
 import torch
 
+from omniocc.extras.rivals import RunLengths
+from omniocc.extras.rivals.run_lengths import six_runs
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.loss import RunLengths
-from omniocc.loss.run_lengths import six_runs
 
 GRIDS = [Cylinder((5, 7, 4)), Cuboid((5, 7, 4))]
 ON_GRIDS = pytest.mark.parametrize("geometry", GRIDS, ids=["cylinder", "cuboid"])

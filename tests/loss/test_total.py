@@ -3,8 +3,9 @@ from typing import NamedTuple
 import pytest
 import torch
 
+from omniocc.extras.rivals import RunLengths
 from omniocc.geometry import Cylinder
-from omniocc.loss import CrossEntropy, Dice, RangeBins, RunLengths, Semantics, Total
+from omniocc.loss import CrossEntropy, Dice, RangeBins, Semantics, Total
 from omniocc.loss.total import labels_of_blocks
 
 

@@ -6,21 +6,19 @@ import torch
 
 from omniocc.camera.pinholes import as_pinholes
 from omniocc.errors import UserError
+from omniocc.extras.rivals import BiGrid, ChannelToHeight, CoarseToFine, Experts, Focus, SplatColoring
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
 from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
-    BiGrid,
     CoarseColoring,
-    CoarseToFine,
     Coloring,
     Lifter,
     LiftSplat,
     Pillar,
-    SplatColoring,
 )
-from omniocc.model.refiner import Attention, ChannelToHeight, Conv, Experts, Focus, NoRefiner, Refiner, UNet
+from omniocc.model.refiner import Attention, Conv, NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
 from omniocc.model.temporal import Mean, NoTemporal, Recurrent, Temporal

@@ -1,7 +1,7 @@
 """Our metrics among those of torchmetrics: what its own tester checks, and names, arguments and plots of its kind.
 
 The tester is in the repository of torchmetrics, not in its package: `MetricTester.run_class_metric_test` of
-`tests/unittests/_helpers/testers.py`. Two processes are in `test_ray_iou.py`.
+`tests/unittests/_helpers/testers.py`. Two processes are in `test_ray_metric.py`.
 """
 
 import inspect

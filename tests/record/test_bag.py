@@ -18,8 +18,8 @@ from omniocc.camera import KannalaBrandt, Pinhole, Rig
 from omniocc.data import DataError, SceneReader
 from omniocc.data.source.recorded import spec_of
 from omniocc.errors import UserError
-from omniocc.record.bag import Bag
-from omniocc.record.messages import camera_of, cloud_of
+from omniocc.extras.record.bag import Bag
+from omniocc.extras.record.messages import camera_of, cloud_of
 
 CLASSES = "classes: {classes}"
 
@@ -90,7 +90,7 @@ def test_a_damaged_bag_is_named(tmp_path):
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "omniocc.record.bag_reader", None)
+    monkeypatch.setitem(sys.modules, "omniocc.extras.record.bag_reader", None)
     with pytest.raises(UserError, match=r"pip install .*'\.\[bag\]'"):
         Bag(tmp_path)
 

@@ -17,9 +17,9 @@ from log_files import START_NS
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from omniocc.errors import DataError, UserError
-from omniocc.record import bag_reader
-from omniocc.record.bag import IMAGES, Bag
-from omniocc.record.transforms import FrameTree
+from omniocc.extras.record import bag_reader
+from omniocc.extras.record.bag import IMAGES, Bag
+from omniocc.extras.record.transforms import FrameTree
 
 PIXELS = np.arange(64 * 36 * 3, dtype=np.uint8).reshape(36, 64, 3)
 TOPIC = "/rear/image"

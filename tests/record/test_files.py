@@ -23,11 +23,11 @@ from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.check import check_scene
 from omniocc.data.store.codec import decode_frame
 from omniocc.errors import UserError
+from omniocc.extras.record.labels import read_point_classes
+from omniocc.extras.record.log import Log, Scans, Timing, plan_frames
+from omniocc.extras.record.scene import origin_lines, read_frame
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
-from omniocc.record.labels import read_point_classes
-from omniocc.record.log import Log, Scans, Timing, plan_frames
-from omniocc.record.scene import origin_lines, read_frame
 
 GRID = Cylinder()
 CLASSES = "classes: classes.yaml"
@@ -176,7 +176,9 @@ def test_after_a_damaged_file_only_the_missing_frames_are_made(recorder, origina
         recorder(log=log).record(tmp_path)
     last.write_bytes(whole)
     read = []
-    monkeypatch.setattr("omniocc.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given))
+    monkeypatch.setattr(
+        "omniocc.extras.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
+    )
     scene = SceneReader(recorder(log=log).record(tmp_path)[0])
     assert read == [len(original) - 1]
     assert len(scene) == len(original)
@@ -273,11 +275,13 @@ def test_a_stop_while_files_are_hashed_loses_no_frame(recorder, original, log_fo
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("omniocc.record.scene.finish_scene", stopped)
+        patch.setattr("omniocc.extras.record.scene.finish_scene", stopped)
         with pytest.raises(KeyboardInterrupt):
             recorder().record(tmp_path)
     read = []
-    monkeypatch.setattr("omniocc.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given))
+    monkeypatch.setattr(
+        "omniocc.extras.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
+    )
     (folder,) = recorder().record(tmp_path)
     assert read == []
     assert len(SceneReader(folder)) == len(original)
@@ -451,7 +455,7 @@ def test_a_class_has_one_name_and_colour(tmp_path, text, message):
 
 def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
     """The CSV of `predict.py` has names for times; with numbers as names both readers give the same poses."""
-    from omniocc.record.poses import read_timed_poses
+    from omniocc.extras.record.poses import read_timed_poses
 
     path = tmp_path / "poses.csv"
     path.write_text("frame,x_m,y_m,z_m,qw,qx,qy,qz\n3,1,2,3,0.6,0,0,0.8\n7,4,5,6,1,0,0,0\n")

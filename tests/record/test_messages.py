@@ -10,8 +10,8 @@ from PIL import Image
 
 from omniocc.camera import Equidistant
 from omniocc.errors import DataError
+from omniocc.extras.record.messages import image_of
 from omniocc.images import Depth
-from omniocc.record.messages import image_of
 
 CAMERA = Equidistant(8, 6, 3.0, (3.5, 2.5), 95.0)
 KEY = "recorder.image_bits"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from omniocc.errors import DataError
-from omniocc.record.files import read_times
-from omniocc.record.poses import read_timed_poses
+from omniocc.extras.record.files import read_times
+from omniocc.extras.record.poses import read_timed_poses
 
 ROTATION = [[-0.48, -0.36, 0.8, 1.0], [0.64, 0.48, 0.6, 2.0], [-0.6, 0.8, 0.0, 3.0]]
 """Of the quaternion w, x, y, z = 0.5, 0.1, 0.7, 0.5 at 1, 2, 3."""

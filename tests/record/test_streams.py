@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from omniocc.record.streams import MISSING, gap_s, interpolate, lacking, nearest, paced
+from omniocc.extras.record.streams import MISSING, gap_s, interpolate, lacking, nearest, paced
 
 RNG = np.random.default_rng(1)
 

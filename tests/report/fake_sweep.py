@@ -10,9 +10,9 @@ import yaml
 
 from omniocc.classes import FREE, WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder, Grid
+from omniocc.run.folder import PAGE
 from omniocc.run.results import CANDIDATES, save_results
 from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
-from omniocc.viewer.page import PAGE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
@@ -57,7 +57,7 @@ def write_run(
 ) -> None:  # fmt: skip
     (folder / "csv" / "version_0").mkdir(parents=True)
     described = {
-        "_target_": "omniocc.data.VirtualWorld", "root": world.root, "rig": "fisheye6", "image_size": [WIDTH, HEIGHT],
+        "_target_": "omniworld.VirtualWorld", "root": world.root, "rig": "fisheye6", "image_size": [WIDTH, HEIGHT],
         "themes": ["downtown", "suburb"], "train_scenes": 2, "val_scenes": 1, "test_scenes": 1, "frames_per_scene": 4,
         "frame_interval_s": 0.5, "supersample": 1, "erp_size": [16, 8], "erp_top_deg": 45.0, "erp_bottom_deg": -45.0,
     }  # fmt: skip

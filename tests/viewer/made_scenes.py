@@ -14,10 +14,10 @@ from omniocc.config import plain
 from omniocc.data import SourceSpec
 from omniocc.data.recording.scene import append_frame, finish_scene
 from omniocc.data.store.shard import SceneWriter
+from omniocc.frame import Frame
 from omniocc.parts import Parts
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.build import build_task
-from omniocc.world.frame import Frame
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 MASKED = replace(RIG, masks=tuple(torch.arange(36)[:, None].expand(36, 64) < 30 for _ in RIG.names))

@@ -10,12 +10,12 @@ from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
+from omniocc.extras.viewer.collect import open_shown
+from omniocc.extras.viewer.models import mask_labels
+from omniocc.extras.viewer.options import ViewOptions, unique_names
+from omniocc.extras.viewer.scenes import choose
 from omniocc.metric import RayIoU, VoxelIoU
 from omniocc.predict import load
-from omniocc.viewer.collect import open_shown
-from omniocc.viewer.models import mask_labels
-from omniocc.viewer.options import ViewOptions, unique_names
-from omniocc.viewer.scenes import choose
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 

@@ -14,13 +14,13 @@ from omniocc.classes import UNKNOWN
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
+from omniocc.extras.viewer.collect import open_shown
+from omniocc.extras.viewer.options import ViewOptions
+from omniocc.extras.viewer.timeline.sinks import to_file
+from omniocc.extras.viewer.timeline.stream import RangeStream, VoxelStream
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.viewer.collect import open_shown
-from omniocc.viewer.options import ViewOptions
-from omniocc.viewer.timeline.sinks import to_file
-from omniocc.viewer.timeline.stream import RangeStream, VoxelStream
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 QUICK = ("overview=false", "mesh=false")

@@ -4,7 +4,7 @@ import pytest
 from scripts import run_script
 
 from omniocc.errors import UserError
-from omniocc.viewer.options import options_of
+from omniocc.extras.viewer.options import options_of
 
 
 @pytest.fixture

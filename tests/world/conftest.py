@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import Mesh, concatenate
-from omniocc.world.render.caster import Caster, Layers
-from omniocc.world.render.cull import spheres_of
-from omniocc.world.render.light import Light, Sensor
-from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.snapshot import Snapshot
-from omniocc.world.render.surface import join, make_surfaces
-from omniocc.world.render.weather import draw_light, draw_sensor
+from omniworld.mesh.material import Material
+from omniworld.mesh.mesh import Mesh, concatenate
+from omniworld.render.caster import Caster, Layers
+from omniworld.render.cull import spheres_of
+from omniworld.render.light import Light, Sensor
+from omniworld.render.shadow import Shadows
+from omniworld.render.snapshot import Snapshot
+from omniworld.render.surface import join, make_surfaces
+from omniworld.render.weather import draw_light, draw_sensor
 
 
 def make_quad(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world import Frame, Scene
-from omniocc.world.scene import ego_box
-from omniocc.world.traffic.traffic import Actor
+from omniworld import Frame, Scene
+from omniworld.scene import ego_box
+from omniworld.traffic.traffic import Actor
 
 
 def _make() -> Scene:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omniocc.world.seeding import choice, generator, weighted_choice
+from omniocc.seeding import choice, generator, weighted_choice
 
 
 def test_generators_depend_on_theme_seed_and_purpose_only() -> None:

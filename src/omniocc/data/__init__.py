@@ -7,7 +7,6 @@ from omniocc.data.augment.augment import Augment
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
 from omniocc.data.source.recorded import Recorded
-from omniocc.data.source.virtual import VirtualWorld
 from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, RangeCache
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Appearance", "Augment", "CandidateCache", "DataError", "EvidenceCache", "Needs", "OccupancyData", "RangeCache",
-    "Recorded", "SceneReader", "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
+    "Recorded", "SceneReader", "SceneSource", "SourceSpec", "WindowDataset", "collate",
 ]  # fmt: skip
 
 

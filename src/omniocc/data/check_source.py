@@ -14,13 +14,13 @@ from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data.formats.clouds import out_of_reach
 from omniocc.data.formats.poses import jumps, not_rigid
-from omniocc.data.recording.pool import mapped
 from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, SourceSpec, VoxelLabels
 from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from omniocc.parallel import mapped
 from omniocc.progress import Progress
 from rayiou.labels import ids_beyond
 

@@ -12,7 +12,6 @@ from torch.utils.data import Dataset
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
-from omniocc.data.disturb.scene import recorded
 from omniocc.data.origins import Origins, choose_origins
 from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, FrameCache, RangeCache
@@ -153,7 +152,7 @@ class WindowDataset(Dataset):
             rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
-            voxels=self.voxels.read(recorded(scene), newest) if needs.voxels else None,
+            voxels=self.voxels.read(getattr(scene, "recorded", scene), newest) if needs.voxels else None,
             **(self._benchmark(scene, newest) if needs.scores else {}),
             pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
             **(self._lidar(scene, newest) if needs.scores else {}),

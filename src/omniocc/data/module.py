@@ -16,12 +16,12 @@ from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.origins import Origins
-from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.source import SPLITS, SceneSource, SourceSpec, Split, Unknown, VoxelLabels
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
+from omniocc.parallel import limit_threads
 from rayiou.directions import rays_around
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from omniocc.io import atomic_write
-from omniocc.report.dataset.table import dataset_csv, dataset_latex, dataset_part
+from omniocc.report.datasets import dataset_csv, dataset_latex, dataset_part
 from omniocc.report.runs import path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, robustness, training

@@ -8,7 +8,7 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.progress import Progress
 from omniocc.report.chapters import SPREAD, bounds_part, budget_part
-from omniocc.report.dataset.table import dataset_csv, dataset_part
+from omniocc.report.datasets import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness, training

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlencode
 
 from markupsafe import Markup
 
@@ -12,9 +13,9 @@ from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep
+from omniocc.run.folder import PAGE
 from omniocc.run.results import MINUTES
 from omniocc.view.bev import ERRORS
-from omniocc.viewer.page import PAGE, frame_address
 
 FILES = ("config.yaml", "metrics.json", "table.md")
 
@@ -89,3 +90,8 @@ def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun], folder
         "inline": inline,
         "viewer": partial(viewer_link, folder),
     }
+
+
+def frame_address(scene: str, frame: str | int) -> str:
+    """Return the end of the address of a page that opens a frame by its name; a number may have zeros before it."""
+    return f"#{urlencode({'scene': scene, 'frame': frame}, quote_via=quote)}"

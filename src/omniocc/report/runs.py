@@ -15,6 +15,7 @@ from omniocc.errors import UserError, shown
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.progress import Progress
 from omniocc.run.folder import METRICS, command_of
+from omniocc.run.renamed import renamed
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
 from omniocc.run.table import class_names
@@ -96,7 +97,7 @@ def _read(folder: Path) -> FinishedRun:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
     for key in SETTING:
         checked_name(f"{folder / METRICS}: {key}", str(facts.get(key, UNKNOWN)))
-    config = read_mapping(path) if (path := folder / "config.yaml").exists() else {}
+    config = renamed(read_mapping(path)) if (path := folder / "config.yaml").exists() else {}
     if wrong := [key for key in GROUPS if not isinstance(config.get(key) or {}, dict)]:
         raise UserError(f"{path} is damaged: {wrong[0]} holds no keys and values")
     if not _is_grid((config.get("model") or {}).get("geometry", {})):

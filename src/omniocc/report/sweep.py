@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from omniocc.report.dataset.table import (
+from omniocc.report.datasets import (
     DatasetTable,
     facts_of_scenes,
     is_dataset_table,

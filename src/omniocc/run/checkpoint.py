@@ -18,9 +18,10 @@ from omniocc.config import (
     foreign_packages,
     plain,
 )
-from omniocc.data.recording.pool import usable_cores
 from omniocc.errors import UserError, shortened
+from omniocc.parallel import usable_cores
 from omniocc.run.checkpoint_io import read_checkpoint
+from omniocc.run.renamed import renamed
 from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, find_checkpoint, read_weights
 
@@ -99,7 +100,7 @@ def load_checkpoint(given: str | Path) -> Checkpoint:
         raise UserError(f"{path} is damaged: its number of steps is no whole number")
     if (fault := fault_of(config)) is not None:
         raise UserError(f"{path} cannot be trusted: {fault}")
-    tree = OmegaConf.create({key: value for key, value in config.items() if key != "packages"})
+    tree = OmegaConf.create({key: value for key, value in renamed(config).items() if key != "packages"})
     for key in WORKERS:
         if isinstance(count := OmegaConf.select(tree, key, throw_on_missing=False), int):
             OmegaConf.update(tree, key, min(count, usable_cores()))

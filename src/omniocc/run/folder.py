@@ -27,6 +27,8 @@ STARTED_FROM = "started_from.txt"
 """File with the checkpoint that `resume=` named, written when the run starts from it."""
 IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
+PAGE = "view.html"
+"""Page with frames to turn, in the folder of a run."""
 VOLATILE = (
     "name",
     "resume",

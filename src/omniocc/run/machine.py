@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from omniocc.data.recording.pool import usable_cores
+from omniocc.parallel import usable_cores
 
 MACHINE = "machine"
 """Fact of runs: processor, cores and version of torch."""

@@ -3,7 +3,7 @@ import torch
 
 from omniocc.data import Appearance
 from omniocc.data.augment.appearance import _jpeg, missing_ones
-from omniocc.data.disturb.images import compressed
+from omniocc.data.augment.degrade import compressed
 
 OFF = dict.fromkeys(
     ("exposure", "gamma", "white_balance", "grey", "blur_px", "noise", "vignette", "glare", "jpeg", "missing"), 0.0

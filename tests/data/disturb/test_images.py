@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from omniocc.data.disturb.images import blurred, compressed, exposed, noisy
+from omniocc.data.augment.degrade import blurred, compressed, exposed, noisy
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniocc.data.disturb.lens import DIRT_RGB, behind_dirt, draw_dirt, draw_drops, through_drops
+from omniocc.extras.robustness.disturb.lens import DIRT_RGB, behind_dirt, draw_dirt, draw_drops, through_drops
 
 SEEN = np.zeros((72, 128), bool)
 SEEN[:, 16:112] = True

@@ -7,10 +7,10 @@ import torch
 from fake_source import FRAMES, FakeFrames
 
 from omniocc.camera.masks import usable_pixels
-from omniocc.data.disturb import disturbance as kinds
-from omniocc.data.disturb.disturbance import Disturbance
-from omniocc.data.disturb.scene import disturbed, recorded
 from omniocc.data.source import SceneFrames
+from omniocc.extras.robustness.disturb import disturbance as kinds
+from omniocc.extras.robustness.disturb.disturbance import Disturbance
+from omniocc.extras.robustness.disturb.scene import disturbed
 
 NOISE = Disturbance(images=partial(kinds.noise, percent=5), each_frame=True)
 DROPS = Disturbance(images=partial(kinds.drops_on_one_lens, percent=30))
@@ -105,5 +105,5 @@ def test_cameras_are_moved_by_this_distance(scene):
 
 def test_the_recorded_scene_is_behind_the_disturbed_one(scene):
     frames = disturbed(scene, TWO, "two", 0)
-    assert recorded(frames) is scene
-    assert recorded(scene) is scene
+    assert frames.recorded is scene
+    assert not hasattr(scene, "recorded")

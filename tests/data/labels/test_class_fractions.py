@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omniocc.classes import CLASSES
-from omniocc.data.labels.class_fractions import (
+from omniworld.class_fractions import (
     PUBLISHED_PERCENT,
     cells_per_class,
     fraction_table,

@@ -8,8 +8,8 @@ from fake_scene import FakeWorld, fake_frame
 
 from omniocc.data.dataset import WindowDataset, collate
 from omniocc.data.labels.moving import hits_of_moving
+from omniocc.frame import Box
 from omniocc.geometry import Cylinder
-from omniocc.world.frame import Box
 
 CAR = Box(1, 7, (10.0, 0.0, -1.4), (4.0, 2.0, 1.6), 0.0, (8.0, 0.0))
 

@@ -8,8 +8,8 @@ from dataset_files import write_carlasc
 from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource, WindowDataset, collate
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.carlasc import CarlaSC
 from omniocc.errors import DataError
+from omniocc.extras.datasets.carlasc import CarlaSC
 from omniocc.task.scores import Scores
 
 SPLITS = {"train": "Train", "val": "Val", "test": "Test"}

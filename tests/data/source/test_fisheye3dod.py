@@ -6,10 +6,10 @@ import torch
 from rival_files import FISHEYE3DOD_FOCAL_PX, WALL_M, fisheye3dod_points, write_fisheye3dod
 
 from omniocc.data import SceneSource
-from omniocc.data.formats.fisheye3dod import read_points, read_poses
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.fisheye3dod import Fisheye3DOD, town_of
 from omniocc.errors import DataError, UserError
+from omniocc.extras.datasets.fisheye3dod import Fisheye3DOD, town_of
+from omniocc.extras.datasets.fisheye3dod_files import read_points, read_poses
 from omniocc.geometry import Cuboid
 
 TOWNS = {"train": ["Town01"], "val": ["Town03"], "test": ["Town02"]}

@@ -9,8 +9,8 @@ from rival_files import write_h3o
 
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.h3o import H3O, range_of_cube_depth
 from omniocc.errors import DataError
+from omniocc.extras.datasets.h3o import H3O, range_of_cube_depth
 
 SAME = {"train": "train", "val": "val", "test": "test"}
 

@@ -9,8 +9,8 @@ from rival_files import FOCAL_PX, write_parkocc
 
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.parkocc import GRID, ParkOcc, dense_voxels
 from omniocc.errors import DataError
+from omniocc.extras.datasets.parkocc import GRID, ParkOcc, dense_voxels
 
 ONE = {"train": ["8"], "val": ["8"], "test": ["8"]}
 

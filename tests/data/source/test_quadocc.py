@@ -10,8 +10,8 @@ from rival_files import QUADOCC_FOCAL_PX, write_quadocc
 from omniocc.camera import OCam, Panoramic
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.quadocc import CAMERA_FROM_LIDAR, GRID, QuadOcc
 from omniocc.errors import DataError
+from omniocc.extras.datasets.quadocc import CAMERA_FROM_LIDAR, GRID, QuadOcc
 
 SEQUENCES = {"train": ["a"], "val": ["b"], "test": ["c"]}
 

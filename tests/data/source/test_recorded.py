@@ -14,8 +14,8 @@ from fake_scene import FakeWorld
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data import DataError, Recorded
+from omniocc.data.recording.spec import RENDERED_REACH_M
 from omniocc.data.source.recorded import by_fraction, reach_of, split_scenes, votes_of
-from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.geometry import Cylinder
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
@@ -189,7 +189,7 @@ def test_cells_beyond_the_recorded_points_are_unknown_and_not_free(world, root):
     voxels = source.labels(far, "free").read(scene, 0)
     assert torch.equal(voxels == UNKNOWN, (far.centers().abs() > 26)[..., :2].any(-1))
     assert torch.equal(voxels, votes_of(scene, far, "free").read(scene, 0))
-    assert reach_of(scene) == LABELS_REACH_M
+    assert reach_of(scene) == RENDERED_REACH_M
     scene.meta["facts"].pop("theme")  # as the scenes of a log, whose sensor ends nowhere
     assert reach_of(scene) is None
     assert not (votes_of(scene, far, "free").read(scene, 0) == UNKNOWN).any()

@@ -12,8 +12,8 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
 from omniocc.data.formats.kitti360 import SEQUENCE, match_frames
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.sscbench_kitti360 import SSCBenchKITTI360
 from omniocc.errors import DataError
+from omniocc.extras.datasets.sscbench_kitti360 import SSCBenchKITTI360
 
 SEQUENCES = {"train": ["00"], "val": ["06"], "test": ["09"]}
 

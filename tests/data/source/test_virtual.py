@@ -14,18 +14,18 @@ from fake_scene import FakeWorld
 from filelock import FileLock
 
 import omniocc
+from omniocc import seeding
 from omniocc.camera import Rig
 from omniocc.code import code_fingerprint
-from omniocc.data import VirtualWorld
-from omniocc.data.recording.pool import worker_environment
+from omniocc.data.recording.spec import RENDERED_REACH_M
 from omniocc.data.source.recorded import spec_of
-from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.report.dataset.facts import light_of, time_of_day
-from omniocc.world import THEMES, Scene, seeding
-from omniocc.world.render.weather import WEATHERS, draw_weather
+from omniocc.parallel import worker_environment
+from omniworld import THEMES, Scene, VirtualWorld
+from omniworld.render.weather import WEATHERS, draw_weather
+from omniworld.report.facts import light_of, time_of_day
 
 SCRIPT = """
 import sys
@@ -143,10 +143,10 @@ def test_night_and_late_cameras_are_other_data_and_change_no_other_fingerprint(t
 def test_code_of_variations_does_not_count_for_the_world(tmp_path):
     (tmp_path / "variations").mkdir()
     (tmp_path / "scene.py").write_text("x = 1\n")
-    before = code_fingerprint(tmp_path, "variations")
+    before = code_fingerprint(tmp_path, ("variations",))
     (tmp_path / "variations" / "night.py").write_text("y = 2\n")
     code_fingerprint.cache_clear()
-    assert code_fingerprint(tmp_path, "variations") == before
+    assert code_fingerprint(tmp_path, ("variations",)) == before
     assert code_fingerprint(tmp_path) != before
 
 
@@ -171,7 +171,7 @@ def test_labels_end_where_the_recorded_points_do(tmp_path):
     world.prepare()
     scene = world.scenes("train")[0]
     farthest = np.abs(scene.points(0).points_m).max(0)
-    assert np.all(farthest < LABELS_REACH_M)
+    assert np.all(farthest < RENDERED_REACH_M)
     assert np.all(farthest[:2] > 25.5), "otherwise it ends earlier"
     far = Cuboid((100, 100, 4), (-40.0, 40.0), (-40.0, 40.0), (-2.8, 3.6))
     unknown = world.labels(far, "free").read(scene, 0) == 255

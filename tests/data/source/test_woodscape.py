@@ -10,8 +10,8 @@ from dataset_files import FRONT, write_woodscape
 
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.woodscape import ORIGIN_M, WoodScape, read_calibration
 from omniocc.errors import DataError
+from omniocc.extras.datasets.woodscape import ORIGIN_M, WoodScape, read_calibration
 from omniocc.geometry import Cylinder
 
 FRACTIONS = {"train": 0.5, "val": 0.17, "test": 0.33}

@@ -5,8 +5,8 @@ import pytest
 import torch
 from by_hand import bilinear, middle_of
 
+from omniocc.extras.rivals import BiGrid
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.lifter import BiGrid
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.sketch import Sketched
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from by_hand import bilinear, middle_of
 
+from omniocc.extras.rivals import CoarseToFine
+from omniocc.extras.rivals.coarse_to_fine import cells_to_split
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.lifter import CoarseToFine
-from omniocc.model.lifter.coarse_to_fine import cells_to_split
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.ops.visible import reference_points
 from omniocc.model.sketch import Sketched

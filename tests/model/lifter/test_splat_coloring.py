@@ -3,8 +3,8 @@ import itertools
 import pytest
 import torch
 
+from omniocc.extras.rivals import SplatColoring
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.lifter import SplatColoring
 from omniocc.model.lifter.lift_splat import bin_points
 from omniocc.model.sketch import Sketched
 

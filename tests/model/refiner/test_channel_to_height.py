@@ -2,9 +2,9 @@ import pytest
 import torch
 from torch.nn import functional as F
 
+from omniocc.extras.rivals import ChannelToHeight
+from omniocc.extras.rivals.channel_to_height import view_block
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.refiner import ChannelToHeight
-from omniocc.model.refiner.channel_to_height import view_block
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))

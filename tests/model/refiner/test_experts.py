@@ -4,9 +4,9 @@ import math
 import pytest
 import torch
 
+from omniocc.extras.rivals import Experts
+from omniocc.extras.rivals.experts import ExpertBlock, gradient_energy
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.refiner import Experts
-from omniocc.model.refiner.experts import ExpertBlock, gradient_energy
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))

@@ -4,9 +4,9 @@ import math
 import pytest
 import torch
 
+from omniocc.extras.rivals import Focus
+from omniocc.extras.rivals.focus import EndAttention, end_features
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.refiner import Focus
-from omniocc.model.refiner.focus import EndAttention, end_features
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
+from omniocc.extras.rivals import ChannelToHeight
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.refiner import ChannelToHeight, Conv
+from omniocc.model.refiner import Conv
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))

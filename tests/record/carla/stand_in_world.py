@@ -13,11 +13,11 @@ from stand_in import Idle, options
 
 from omniocc.camera import Pinhole, Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.world import Scene
-from omniocc.world.render.capture import expose, render_pixels
-from omniocc.world.render.caster import Caster
-from omniocc.world.render.own_car import car_under
-from omniocc.world.render.view import make_view
+from omniworld import Scene
+from omniworld.render.capture import expose, render_pixels
+from omniworld.render.caster import Caster
+from omniworld.render.own_car import car_under
+from omniworld.render.view import make_view
 
 NEW_TAGS = {"Free": 11, "Road": 1, "Sidewalk": 2, "Ground": 25, "Building": 3, "Wall": 4, "Vegetation": 9}
 NEW_TAGS |= {"Vehicle": 14, "Other": 22, "Pole": 6, "Pedestrian": 12, "Roadline": 24}

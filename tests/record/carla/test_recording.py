@@ -16,7 +16,7 @@ from omniocc.data.labels.voxels import vote
 from omniocc.data.source.recorded import Recorded
 from omniocc.data.store.check import check_scene
 from omniocc.geometry import Cylinder
-from omniocc.world import Scene
+from omniworld import Scene
 
 pytest.importorskip("carla", reason="the client of CARLA is not installed: pip install -e '.[carla]'")
 

@@ -9,13 +9,13 @@ import pytest
 from omniocc.camera import Rig
 from omniocc.camera.cubemap import FACES, look_up_rays
 from omniocc.classes import WORLD_CLASSES
-from omniocc.data.formats.carla_tags import NEW, OLD, class_table, tags_of
-from omniocc.data.formats.unreal import UnrealPose, pose_of, right_handed, right_handed_points, unreal_pose
 from omniocc.errors import UserError
-from omniocc.record.carla import client
-from omniocc.record.carla.decode import POINT, inverse_depth_of, read_bgra, read_points, rgb_of, tags_in
-from omniocc.record.carla.frames import smooth
-from omniocc.record.carla.sensors import camera_cubes, cube_sensors, lidar_sensors
+from omniocc.extras.carla_tags import NEW, OLD, class_table, tags_of
+from omniocc.extras.record.carla import client
+from omniocc.extras.record.carla.decode import POINT, inverse_depth_of, read_bgra, read_points, rgb_of, tags_in
+from omniocc.extras.record.carla.frames import smooth
+from omniocc.extras.record.carla.sensors import camera_cubes, cube_sensors, lidar_sensors
+from omniocc.extras.unreal import UnrealPose, pose_of, right_handed, right_handed_points, unreal_pose
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.data.recording.job import ScenePlan
-from omniocc.report.dataset.facts import frame_at, own_row, pinhole_twin, speed_mps, time_of_day
+from omniworld.report.facts import frame_at, own_row, pinhole_twin, speed_mps, time_of_day
+from omniworld.source import ScenePlan
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld

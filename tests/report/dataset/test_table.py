@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.report.dataset.facts import OTHER_DATASETS
-from omniocc.report.dataset.table import (
+from omniocc.report.datasets import (
     dataset_cells,
     dataset_csv,
     dataset_latex,
@@ -17,6 +16,7 @@ from omniocc.report.dataset.table import (
     with_records,
 )
 from omniocc.report.runs import read_runs
+from omniworld.report.facts import OTHER_DATASETS
 
 PATH = Path(__file__).parents[3] / "sweeps" / "dataset.yaml"
 
@@ -48,7 +48,7 @@ def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
     )
     for other in (
         run._replace(facts=run.facts | {"data": "another"}),
-        run._replace(config={"data": {"source": {"_target_": "omniocc.data.VirtualWorld", "gone": 1, "root": "x"}}}),
+        run._replace(config={"data": {"source": {"_target_": "omniworld.VirtualWorld", "gone": 1, "root": "x"}}}),
         run._replace(config={}),
     ):
         assert scenes_of(other) == []

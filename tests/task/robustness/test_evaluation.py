@@ -13,15 +13,15 @@ from made_scenes import RIG, write_checkpoint, write_scene
 from omniocc.config import build, plain
 from omniocc.data import collate
 from omniocc.data.dataset import WindowDataset
-from omniocc.data.disturb.scene import disturbed
 from omniocc.errors import UserError
+from omniocc.extras.robustness import evaluation
+from omniocc.extras.robustness.disturb.scene import disturbed
+from omniocc.extras.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
+from omniocc.extras.robustness.parts import parts_of
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.run.robustness import UNDISTURBED, drop_of
 from omniocc.task.build import build_task
-from omniocc.task.robustness import evaluation
-from omniocc.task.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
-from omniocc.task.robustness.parts import parts_of
 from omniocc.task.scores import Scores
 
 FRAMES = 2

@@ -7,9 +7,9 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.errors import UserError
+from omniocc.extras.robustness.parts import UNSEEN, chosen, parts_of
 from omniocc.run.robustness import UNDISTURBED
-from omniocc.task.robustness.parts import UNSEEN, chosen, parts_of
-from omniocc.world.render.weather import WEATHERS
+from omniworld.render.weather import WEATHERS
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 

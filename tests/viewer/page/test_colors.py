@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omniocc.classes import WORLD_CLASSES, ClassTable, SemanticClass
-from omniocc.viewer.page.colors import SAFE, SAFE_KINDS, class_colors, kind_colors
+from omniocc.extras.viewer.page.colors import SAFE, SAFE_KINDS, class_colors, kind_colors
 
 SEEN_BY = {
     "normal": np.eye(3),

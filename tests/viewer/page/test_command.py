@@ -6,7 +6,7 @@ import pytest
 from made_scenes import SCENES
 from scripts import run_script
 
-from omniocc.viewer.page import PAGE
+from omniocc.run.folder import PAGE
 
 
 def facts_of(page) -> dict:

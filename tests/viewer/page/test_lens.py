@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.viewer.page.lens import UNIT, direction_table, interpolate
+from omniocc.extras.viewer.page.lens import UNIT, direction_table, interpolate
 
 RIGS = ("fisheye6", "pinhole6", "surround_view")
 

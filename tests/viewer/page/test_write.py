@@ -16,9 +16,10 @@ import torch
 from made_page import CUBOID, CYLINDER, EVIL, RUNS, made_frames, made_shown, rig, write_made_page
 
 from omniocc.errors import UserError
-from omniocc.viewer.page import PAGE, page_path, write_page
-from omniocc.viewer.page.lens import direction_table
-from omniocc.viewer.page.pack import Packed
+from omniocc.extras.viewer.page import page_path, write_page
+from omniocc.extras.viewer.page.lens import direction_table
+from omniocc.extras.viewer.page.pack import Packed
+from omniocc.run.folder import PAGE
 
 
 class Scripts(HTMLParser):
@@ -166,7 +167,7 @@ def test_the_page_of_one_run_lies_in_its_folder(tmp_path):
 
 
 def test_three_is_the_file_that_its_version_names():
-    vendor = files("omniocc.viewer.page").joinpath("vendor")
+    vendor = files("omniocc.extras.viewer.page").joinpath("vendor")
     words = vendor.joinpath("VERSION").read_text().split()
     assert words[::2] == ["three", "esbuild", "sha256"]
     assert hashlib.sha256(vendor.joinpath("three.min.js").read_bytes()).hexdigest() == words[5]

@@ -9,11 +9,11 @@ from made_scenes import FRAMES, RIG, SCENES
 from recordings import below, read
 
 from omniocc.classes import WORLD_CLASSES
-from omniocc.viewer.collect import open_shown
-from omniocc.viewer.frames import Shown
-from omniocc.viewer.options import ViewOptions
-from omniocc.viewer.timeline.paths import grid_name
-from omniocc.viewer.timeline.show import show
+from omniocc.extras.viewer.collect import open_shown
+from omniocc.extras.viewer.frames import Shown
+from omniocc.extras.viewer.options import ViewOptions
+from omniocc.extras.viewer.timeline.paths import grid_name
+from omniocc.extras.viewer.timeline.show import show
 from rayiou.surface import surface, with_area
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")

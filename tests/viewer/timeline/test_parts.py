@@ -6,11 +6,11 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.extras.viewer.timeline.meshes import class_meshes, difference_cells, difference_meshes, shaded
+from omniocc.extras.viewer.timeline.outlines import LENGTH_M, camera_outline
+from omniocc.extras.viewer.timeline.rays import ray_outcomes
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import RayIoU, sparseocc_directions
-from omniocc.viewer.timeline.meshes import class_meshes, difference_cells, difference_meshes, shaded
-from omniocc.viewer.timeline.outlines import LENGTH_M, camera_outline
-from omniocc.viewer.timeline.rays import ray_outcomes
 
 GRIDS = (
     Cylinder((12, 16, 4), (0.0, 12.0), (-2.8, 3.6)),

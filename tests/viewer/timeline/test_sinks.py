@@ -15,8 +15,8 @@ from recordings import read
 from rerun.chunk import RrdReader
 
 from omniocc.errors import DataError, UserError
-from omniocc.viewer.timeline import sinks
-from omniocc.viewer.timeline.sinks import host_and_port, to_file, to_own_viewer, to_viewer
+from omniocc.extras.viewer.timeline import sinks
+from omniocc.extras.viewer.timeline.sinks import host_and_port, to_file, to_own_viewer, to_viewer
 
 VIEWER = Path(sys.executable).with_name("rerun")
 
@@ -47,7 +47,7 @@ def test_a_full_disk_is_said(tmp_path):
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000));"
         "from pathlib import Path; import numpy as np, rerun as rr;"
-        "from omniocc.viewer.timeline.sinks import to_file\n"
+        "from omniocc.extras.viewer.timeline.sinks import to_file\n"
         "with to_file(Path(sys.argv[1]), 'title') as recording:\n"
         "    recording.log('points', rr.Points3D(np.random.default_rng(0).normal(size=(20000, 3))))\n"
     )

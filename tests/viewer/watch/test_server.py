@@ -15,7 +15,7 @@ import pytest
 from made_runs import make_run
 
 from omniocc.errors import UserError
-from omniocc.viewer.watch.server import Server
+from omniocc.extras.viewer.watch.server import Server
 
 ROOT = Path(__file__).parents[3]
 EVIL = "<img src=x onerror=alert(1)>"
@@ -146,7 +146,9 @@ def test_a_damaged_run_is_said(ask, runs):
 
 def test_ctrl_c_ends_it_cleanly(runs):
     heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # may be ignored behind a shell
-    code = f"from pathlib import Path; from omniocc.viewer.watch.server import watch; watch(Path({str(runs)!r}), 0)"
+    code = (
+        f"from pathlib import Path; from omniocc.extras.viewer.watch.server import watch; watch(Path({str(runs)!r}), 0)"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
     process = subprocess.Popen(
         [sys.executable, "-c", f"{heard}; {code}"],

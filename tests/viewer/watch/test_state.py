@@ -10,10 +10,10 @@ from filelock import FileLock
 from lightning.pytorch.loggers import CSVLogger
 from made_runs import make_run
 
+from omniocc.extras.viewer.watch.files import held_locks, identity
+from omniocc.extras.viewer.watch.state import details, jobs, last_images, run_folders, run_states, thinned
 from omniocc.progress import Status
 from omniocc.run.wandb.loggers import CSV
-from omniocc.viewer.watch.files import held_locks, identity
-from omniocc.viewer.watch.state import details, jobs, last_images, run_folders, run_states, thinned
 
 
 def states(runs):

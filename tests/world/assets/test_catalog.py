@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from omniocc.world.assets import barrier, building, catalog, pole, prop, tree, vehicle
-from omniocc.world.mesh import label
+from omniworld.assets import barrier, building, catalog, pole, prop, tree, vehicle
+from omniworld.mesh import label
 
 _CLASS = {
     "tree": (tree, label.VEGETATION), "barrier": (barrier, label.WALL), "prop": (prop, label.OTHER),

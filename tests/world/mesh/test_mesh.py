@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import Mesh, concatenate, empty, instances
-from omniocc.world.mesh.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
+from omniworld.mesh.material import Material
+from omniworld.mesh.mesh import Mesh, concatenate, empty, instances
+from omniworld.mesh.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
 
 _STONE = Skin(4, Material.CONCRETE, (100, 110, 120))
 _ROOF = Skin(4, Material.ROOF, (1, 2, 3))

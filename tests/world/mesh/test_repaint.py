@@ -1,9 +1,9 @@
 import numpy as np
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import concatenate
-from omniocc.world.mesh.repaint import repaint
-from omniocc.world.mesh.shape import Skin, box
+from omniworld.mesh.material import Material
+from omniworld.mesh.mesh import concatenate
+from omniworld.mesh.repaint import repaint
+from omniworld.mesh.shape import Skin, box
 
 
 def test_only_looks_change_and_equal_skins_stay_equal():

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from omniocc.world.assets.building import STOREY_M
-from omniocc.world.render.caster import Hits
-from omniocc.world.render.lamp import CELL_M, SIDE
-from omniocc.world.render.light import Light
-from omniocc.world.render.shade import Shading
-from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.sky import CLOUDS_PX, cloud_pattern
-from omniocc.world.render.surface import (
+from omniworld.assets.building import STOREY_M
+from omniworld.render.caster import Hits
+from omniworld.render.lamp import CELL_M, SIDE
+from omniworld.render.light import Light
+from omniworld.render.shade import Shading
+from omniworld.render.shadow import Shadows
+from omniworld.render.sky import CLOUDS_PX, cloud_pattern
+from omniworld.render.surface import (
     COLOR,
     EMITTED,
     GLAZED,
@@ -22,7 +22,7 @@ from omniocc.world.render.surface import (
     UV_EDGE_2,
     Surfaces,
 )  # fmt: skip
-from omniocc.world.render.texture.atlas import LAYER_PX, LEVEL_START, LEVELS, MACRO_M, SIZE_PX, make_atlas
+from omniworld.render.texture.atlas import LAYER_PX, LEVEL_START, LEVELS, MACRO_M, SIZE_PX, make_atlas
 
 _LIFT_M = np.float32(0.02)
 _WARM = np.array([1.0, 0.78, 0.50], np.float32)

@@ -4,11 +4,11 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equirectangular
-from omniocc.world.mesh.mesh import empty
-from omniocc.world.render.capture import expose, render_pixels
-from omniocc.world.render.caster import Caster
-from omniocc.world.render.view import make_view
-from omniocc.world.sensors.lidar import panorama_directions, scan_ego
+from omniworld.mesh.mesh import empty
+from omniworld.render.capture import expose, render_pixels
+from omniworld.render.caster import Caster
+from omniworld.render.view import make_view
+from omniworld.sensors.lidar import panorama_directions, scan_ego
 
 
 def _record(rig, camera, snapshot, ego_car, sensor, supersample=2):

@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from omniocc.world.render.caster import Caster, Hits, Layers
+from omniworld.render.caster import Caster, Hits, Layers
 
 _DOWN = np.array([[0, 0, -1]], np.float32)
 
@@ -72,7 +72,7 @@ def test_blocked_sees_every_layer(quad, box):
 
 
 def test_an_empty_mesh_is_never_hit(street):
-    from omniocc.world.mesh.mesh import empty
+    from omniworld.mesh.mesh import empty
 
     hits = Layers([Caster(empty())]).cast(np.zeros((2, 3), np.float32), np.repeat(_DOWN, 2, 0))
     assert np.isinf(hits.range_m).all()
@@ -81,7 +81,7 @@ def test_an_empty_mesh_is_never_hit(street):
 
 
 def test_missing_embree_is_one_clear_error(monkeypatch, street):
-    from omniocc.world.render import embree
+    from omniworld.render import embree
 
     monkeypatch.setitem(sys.modules, "embreex", None)
     embree.library.cache_clear()
@@ -93,5 +93,5 @@ def test_missing_embree_is_one_clear_error(monkeypatch, street):
 
 
 def test_import_needs_no_embree():
-    code = "import sys; sys.modules['embreex'] = None; import omniocc.world.render.caster"
+    code = "import sys; sys.modules['embreex'] = None; import omniworld.render.caster"
     subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": ":".join(sys.path)})

@@ -3,11 +3,11 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.mesh.mesh import empty
-from omniocc.world.render.capture import expose, render_pixels
-from omniocc.world.render.caster import Caster
-from omniocc.world.render.cubemap import make_cube, render_through_cube
-from omniocc.world.render.view import make_view
+from omniworld.mesh.mesh import empty
+from omniworld.render.capture import expose, render_pixels
+from omniworld.render.caster import Caster
+from omniworld.render.cubemap import make_cube, render_through_cube
+from omniworld.render.view import make_view
 
 
 def _both(rig, camera, snapshot, ego_car, sensor):

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.render.caster import Caster
-from omniocc.world.render.cull import ShadowMask, make_cones, may_hit, spheres_of
-from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.view import make_view
+from omniworld.mesh.mesh import concatenate, empty
+from omniworld.render.caster import Caster
+from omniworld.render.cull import ShadowMask, make_cones, may_hit, spheres_of
+from omniworld.render.shadow import Shadows
+from omniworld.render.view import make_view
 
 
 def _rays(count, seed=0):

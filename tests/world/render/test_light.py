@@ -5,13 +5,13 @@ import pytest
 from plain_shading import ambient
 from plain_shading import shade as shade_plainly
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.render.caster import no_hits
-from omniocc.world.render.exposure import develop
-from omniocc.world.render.lamp import lamp_pools
-from omniocc.world.render.shade import shade
-from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor
+from omniworld.mesh.material import Material
+from omniworld.mesh.mesh import concatenate, empty
+from omniworld.render.caster import no_hits
+from omniworld.render.exposure import develop
+from omniworld.render.lamp import lamp_pools
+from omniworld.render.shade import shade
+from omniworld.render.weather import WEATHERS, draw_light, draw_sensor
 
 
 def _sensor(seed=0):

@@ -7,9 +7,9 @@ import torch
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
-from omniocc.world import Scene
-from omniocc.world.assets.vehicle import ego_car
-from omniocc.world.render.own_car import car_under, grown, mask_ego_car, masking, own_car_pixels, read_obj, show_ego_car
+from omniworld import Scene
+from omniworld.assets.vehicle import ego_car
+from omniworld.render.own_car import car_under, grown, mask_ego_car, masking, own_car_pixels, read_obj, show_ego_car
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 BARE = replace(RIG, masks=None)

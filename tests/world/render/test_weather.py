@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.render.lamp import lamp_pools
-from omniocc.world.render.rain import streaks
-from omniocc.world.render.shade import shade
-from omniocc.world.render.surface import lamp_strength
-from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
+from omniworld.mesh.material import Material
+from omniworld.mesh.mesh import concatenate, empty
+from omniworld.render.lamp import lamp_pools
+from omniworld.render.rain import streaks
+from omniworld.render.shade import shade
+from omniworld.render.surface import lamp_strength
+from omniworld.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
 
 def _colors(snapshot, directions, light):

@@ -2,9 +2,9 @@ import numpy as np
 import torch
 
 from omniocc.geometry import Cylinder
-from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.sensors.geometry_labels import GeometryLabels, cut, spread
-from omniocc.world.sensors.lidar import inner_rays, scan_ego
+from omniworld.mesh.mesh import concatenate, empty
+from omniworld.sensors.geometry_labels import GeometryLabels, cut, spread
+from omniworld.sensors.lidar import inner_rays, scan_ego
 
 
 def test_points_fill_a_triangle_evenly():

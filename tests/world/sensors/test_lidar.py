@@ -1,6 +1,6 @@
 import numpy as np
 
-from omniocc.world.sensors import lidar
+from omniworld.sensors import lidar
 
 
 def test_ego_rays_are_those_of_the_public_rayiou():

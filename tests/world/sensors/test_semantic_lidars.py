@@ -1,8 +1,8 @@
 import numpy as np
 
-from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.sensors import thinning
-from omniocc.world.sensors.semantic_lidars import LATTICE_M, SemanticLidars
+from omniworld.mesh.mesh import concatenate, empty
+from omniworld.sensors import thinning
+from omniworld.sensors.semantic_lidars import LATTICE_M, SemanticLidars
 
 
 def _lidars(snapshot, count=20) -> SemanticLidars:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omniocc.world.mesh.label import OTHER, ROAD
-from omniocc.world.town import place as places
-from omniocc.world.town.place import THEMES, Place
+from omniworld.mesh.label import OTHER, ROAD
+from omniworld.town import place as places
+from omniworld.town.place import THEMES, Place
 
 _ARRAYS = ("vertices", "faces", "uv", "label", "material", "color", "instance")
 _SOURCE = Path(places.__file__).parents[3]
@@ -32,7 +32,7 @@ def digest(place: Place) -> str:
 
 def test_a_place_is_the_same_in_another_process_after_other_calls() -> None:
     places.build("downtown", 1)
-    code = "import hashlib; from omniocc.world.town import place as p; m = p.build('suburb', 7).mesh;" + (
+    code = "import hashlib; from omniworld.town import place as p; m = p.build('suburb', 7).mesh;" + (
         f"print(hashlib.sha256(b''.join(getattr(m, n).tobytes() for n in {_ARRAYS!r})).hexdigest())"
     )
     env = {"PYTHONPATH": str(_SOURCE), "PYTHONHASHSEED": "5", "PATH": ""}

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.shape import Skin, box
-from omniocc.world.town.site import Plan, Pose2, Site
-from omniocc.world.town.terrain import draw
+from omniworld.mesh.material import Material
+from omniworld.mesh.shape import Skin, box
+from omniworld.town.site import Plan, Pose2, Site
+from omniworld.town.terrain import draw
 
 
 def test_land_is_claimed_once() -> None:

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from omniocc.world.assets.vehicle import ego_car
-from omniocc.world.render.cull import spheres_of
-from omniocc.world.town import place as places
-from omniocc.world.town.place import THEMES
-from omniocc.world.traffic.traffic import Actor, Traffic
+from omniworld.assets.vehicle import ego_car
+from omniworld.render.cull import spheres_of
+from omniworld.town import place as places
+from omniworld.town.place import THEMES
+from omniworld.traffic.traffic import Actor, Traffic
 
 _EGO_SIZE_M = (4.6, 2.0, 1.65)
 _TIMES_S = np.arange(0.0, 180.0, 3.7)

@@ -1,8 +1,8 @@
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.world import Scene
-from omniocc.world.variations.late import LateCamera
+from omniworld import Scene
+from omniworld.variations.late import LateCamera
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 OPTIONS = {"weather": "overcast", "lidars": 1, "erp_size": (16, 4), "supersample": 1, "frame_interval_s": 0.1}

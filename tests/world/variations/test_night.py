@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world import Scene
-from omniocc.world.mesh.label import PEDESTRIAN, VEHICLE
-from omniocc.world.render.lamp import CELL_M, SIDE
-from omniocc.world.traffic.traffic import Actor
-from omniocc.world.variations.night import BASE, BRIGHTNESS, REACH_M, NightScene, headlights, with_beams
+from omniworld import Scene
+from omniworld.mesh.label import PEDESTRIAN, VEHICLE
+from omniworld.render.lamp import CELL_M, SIDE
+from omniworld.traffic.traffic import Actor
+from omniworld.variations.night import BASE, BRIGHTNESS, REACH_M, NightScene, headlights, with_beams
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 OPTIONS = {"weather": BASE, "lidars": 1, "erp_size": (16, 4), "supersample": 1}

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from omniocc.world.frame import Box
+from omniocc.frame import Box
 
 MOVES_MPS = 0.3
 """Speed from which an actor moves; a car at a red light does not."""

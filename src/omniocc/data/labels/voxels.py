@@ -17,13 +17,13 @@ from torch import Tensor
 from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.labels.counts import Frames, all_frames, count_classes, kept_counts
 from omniocc.data.labels.observed import OBSERVED_VERSION, observed
-from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.source import SceneFrames, Unknown
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
 from omniocc.data.store.zstd import decompress
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
+from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
 
 VOTE_VERSION = 1

@@ -10,7 +10,7 @@ from omniocc.data.source import SourceSpec
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.shard import SceneWriter
-from omniocc.world import Frame
+from omniocc.frame import Frame
 
 SOFTWARE = ("numpy", "opencv-python-headless", "zstandard")
 """Packages whose versions are written beside the frames."""

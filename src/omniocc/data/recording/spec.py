@@ -10,6 +10,10 @@ from omniocc.data.source import SourceSpec
 from rayiou.cylinder import PAPER_RANGE_EDGES_M
 from rayiou.directions import sparseocc_directions
 
+DRAWN_RIG = "random"
+"""The rig in the recipe of scenes of which each has drawn cameras."""
+RENDERED_REACH_M = (26.0, 26.0, 6.0)
+"""Distances from the ego origin along x, y and z at which the points of rendered scenes end."""
 MOST_EDGES = 100
 """Most ends of bands of ranges that are read."""
 

@@ -301,6 +301,10 @@ class MadeScenes(SceneSource, Protocol):
         """Return the plans of the scenes that are not there yet."""
         ...
 
+    def made_before(self, fingerprint: str) -> Sequence[SceneFrames]:
+        """Return the scenes of all splits that had this fingerprint, even made by other code; none if they are gone."""
+        ...
+
     def made(self, split: Split, names: Sequence[str]) -> list[SceneFrames]:
         """Return some scenes of a split, after those that are missing have been made."""
         ...

@@ -10,18 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
-from omniocc.camera.drawn import RANDOM
 from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
-from omniocc.data.recording.pool import usable_cores
-from omniocc.data.recording.spec import panorama_of, plain_spec, read_spec
+from omniocc.data.recording.spec import DRAWN_RIG, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
-from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from omniocc.parallel import usable_cores
 
 SPLITS_FILE = "splits.json"
 
@@ -146,7 +144,7 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
     try:
         facts = scene.meta["facts"]
         recipe = facts.get("recipe")
-        drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(RANDOM)
+        drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(DRAWN_RIG)
         return read_spec(facts["spec"] | ({"road_z_m": None} if drawn else {}))
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
@@ -157,7 +155,7 @@ def reach_of(scene: SceneFolder) -> Reach | None:
 
     Recorders of the virtual world and of CARLA, which state the kind of place, leave farther points out.
     """
-    return LABELS_REACH_M if "theme" in scene.meta.get("facts", {}) else None
+    return RENDERED_REACH_M if "theme" in scene.meta.get("facts", {}) else None
 
 
 def votes_of(scene: SceneReader, geometry: Grid, unknown: Unknown) -> VoxelCache:

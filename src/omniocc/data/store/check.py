@@ -9,14 +9,14 @@ import numpy as np
 
 from omniocc.classes import NUM_CLASSES
 from omniocc.data.formats.poses import jumps, not_rigid
-from omniocc.data.labels.class_fractions import count_voxels
-from omniocc.data.recording.pool import mapped
+from omniocc.data.labels.voxels import vote
 from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS, decode_frame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from omniocc.parallel import mapped
 from rayiou.labels import ids_beyond
 
 MAX_SPEED_MPS = 25.0
@@ -52,7 +52,8 @@ def survey_scene(frames: int, interval_s: float, geometry: Grid, decoded: int, s
         chosen = evenly_spaced(len(scene), decoded)
         problems = [line for frame in chosen for line in _content(scene, frame)]
         if scene.has(POINTS):
-            voxels += count_voxels(scene, chosen, geometry)
+            for frame in chosen:
+                voxels += np.bincount(vote(scene, frame, geometry).flatten(), minlength=256)[:NUM_CLASSES]
     return Survey(problems, voxels)
 
 

@@ -30,8 +30,8 @@ from omniocc.data.labels.morton import interleave, separate
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.raster import MAX_PIXELS, pack, unpack
 from omniocc.data.store.zstd import decompress
+from omniocc.frame import Box, Frame
 from omniocc.io import parse_json
-from omniocc.world.frame import Box, Frame
 
 STEPS_PER_M = 256
 POINT_STEPS_PER_M = 128

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world.frame import Box
+from omniocc.frame import Box
 
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """The attributes of `omniocc.world.Frame`; those that may be absent are None, in every frame of a scene alike.
+    """The attributes of `omniworld.Frame`; those that may be absent are None, in every frame of a scene alike.
 
     A class of its own, since any change in the code of the virtual world would render all of its data anew.
 
@@ -22,7 +22,7 @@ class RecordedFrame:
         erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, nan unknown.
         points_m: (P, 3) float32 surface points, ego frame, without the ego car; absent together with `point_labels`.
         point_labels: (P,) uint8 class ids of the points, 255 unknown.
-        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.sensors.lidar.ego_directions`), inf where
+        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniworld.sensors.lidar.ego_directions`), inf where
             nothing is hit; absent together with `lidar_labels`.
         lidar_labels: (R,) uint8 class ids along the same rays; 0 where nothing is hit.
         boxes: moving actors.

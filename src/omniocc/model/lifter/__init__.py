@@ -1,22 +1,16 @@
 """Lifter slot: from image features to voxel features."""
 
-from omniocc.model.lifter.bi_grid import BiGrid
 from omniocc.model.lifter.coarse_coloring import CoarseColoring
-from omniocc.model.lifter.coarse_to_fine import CoarseToFine
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 from omniocc.model.lifter.pillar import Pillar
-from omniocc.model.lifter.splat_coloring import SplatColoring
 from omniocc.model.protocols import GuessesRanges, Lifter
 
 __all__ = [
-    "BiGrid",
     "CoarseColoring",
-    "CoarseToFine",
     "Coloring",
     "GuessesRanges",
     "LiftSplat",
     "Lifter",
     "Pillar",
-    "SplatColoring",
 ]

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from plain_shading import sample
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.render.texture import atlas
+from omniworld.mesh.material import Material
+from omniworld.render.texture import atlas
 
 
 def _grid(side_m: float, count: int = 96) -> tuple[np.ndarray, np.ndarray]:

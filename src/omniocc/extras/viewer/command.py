@@ -1,0 +1,88 @@
+"""Show frames in the Rerun viewer, a file or a page: what `src/view.py` does with its options."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from omniocc.errors import UserError, installing
+from omniocc.extras.viewer.options import TargetOptions, ViewOptions
+from omniocc.extras.viewer.watch.files import config_of
+
+if TYPE_CHECKING:
+    from omniocc.extras.viewer.frames import Shown
+
+
+def view(options: ViewOptions | None, target: TargetOptions) -> None:
+    """Show what the options choose, or follow runs in progress where there are none.
+
+    Raises:
+        UserError: naming the option or package that is missing.
+    """
+    if options is None:
+        from omniocc.extras.viewer.watch.server import watch  # starts at once, without torch
+
+        watch(Path(str(target.watch)), target.port)
+        return
+    path = written(options, target)
+    if path is not None and target.wandb:
+        from omniocc.run.wandb.artifact import log_file
+
+        folder = Path(options.run[0])
+        log_file(folder, path, config_of(folder / "config.yaml").get("logger", {}).get("project", "omniocc"))
+        print(f"{path} is kept in {folder}/wandb; upload it by: make wandb-sync")
+
+
+def written(options: ViewOptions, target: TargetOptions) -> Path | None:
+    """Show the frames and return the file that they were written to; None for a viewer."""
+    if target.page:
+        return written_page(options, target)
+    try:
+        from omniocc.extras.viewer.timeline.show import show
+        from omniocc.extras.viewer.timeline.sinks import check_place
+    except ImportError as error:
+        raise UserError(f"the Rerun viewer needs one more package: {installing('rerun')}") from error
+    path = None if target.save is None else Path(target.save)
+    check_place(path, target.connect)
+    show(opened(options), path, target.connect)
+    if path is not None:
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it by: rerun {path}")
+    return path
+
+
+def written_page(options: ViewOptions, target: TargetOptions) -> Path:
+    """Write the frames to a page and return its path."""
+    from omniocc.extras.viewer.collect import with_progress
+    from omniocc.extras.viewer.page import page_path, write_page
+
+    path, frames = page_path(target.output, options.run), opened(options)
+    write_page(frames, with_progress(frames), path)
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
+    return path
+
+
+def opened(options: ViewOptions) -> "Shown":
+    """Return the frames, and print where they come from."""
+    from omniocc.extras.viewer.collect import open_shown
+
+    frames = open_shown(options)
+    print(f"{frames.source}: {len(frames)} frames", flush=True)
+    return frames
+
+
+@contextmanager
+def shown(viewer: str | None, title: str, stream: Literal["RangeStream", "VoxelStream"]) -> Iterator[Any]:
+    """Yield what streams predicted frames into a Rerun viewer; None without one.
+
+    Raises:
+        UserError: when Rerun is not installed.
+    """
+    if viewer is None:
+        yield None
+        return
+    try:
+        from omniocc.extras.viewer.timeline import stream as streams
+    except ImportError as error:
+        raise UserError(f"viewer=... needs one more package: {installing('rerun')}") from error
+    with streams.to_viewer(viewer, title) as recording:
+        yield getattr(streams, stream)(recording)

@@ -1,0 +1,91 @@
+"""Show the predictions of `predict.py` in a running viewer as they come."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Float32
+from torch import Tensor
+
+from omniocc.batch import Truth
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import WORLD_CLASSES
+from omniocc.extras.viewer.frames import FramePrediction, ShownFrame
+from omniocc.extras.viewer.models import frame_figures, scene_scores
+from omniocc.extras.viewer.predictions import OWN_INTERVAL_S
+from omniocc.extras.viewer.scenes import rig_at_sizes, time_of
+from omniocc.extras.viewer.timeline.log import Timeline
+from omniocc.extras.viewer.timeline.sinks import to_viewer
+from omniocc.metric import sparseocc_directions
+from omniocc.predict.input.images import Frame
+from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
+from omniocc.predict.job import Job
+from omniocc.predict.predictor import Prediction
+
+__all__ = ["RangeStream", "VoxelStream", "to_viewer"]
+MODEL = "prediction"
+"""Name of the model on the time line."""
+
+
+class VoxelStream:
+    """Shows every prediction of `predict.py occupancy` (`omniocc.predict.job.ShowFrame`)."""
+
+    def __init__(self, recording: rr.RecordingStream):
+        self.recording = recording
+        self.timeline: Timeline | None = None
+        self.scores = lru_cache(maxsize=1)(scene_scores)
+
+    def __call__(
+        self,
+        job: Job,
+        sequence: FrameSequence,
+        frame: int,
+        images: Sequence[np.ndarray],
+        prediction: Prediction,
+        truth: Truth | None,
+    ) -> None:
+        """Log one frame."""
+        recorded = isinstance(sequence, RecordedSequence)
+        if self.timeline is None:
+            interval_s = sequence.spec.frame_interval_s if recorded else OWN_INTERVAL_S
+            self.timeline = Timeline(self.recording, job.trained.classes, sparseocc_directions(), interval_s)
+        grid, panorama = job.predictor.model.geometry, job.predictor.panorama
+        ranges = None if prediction.range_m is None else panorama
+        figures = {}
+        if truth is not None and recorded:
+            figures = frame_figures(self.scores(grid, sequence.scene), prediction.labels, truth)
+        poses = sequence.world_from_ego
+        shown = ShownFrame(
+            scene=sequence.name or Path(job.options.output).name,
+            frame=sequence.frame_names[frame],
+            time_s=time_of(sequence.scene, frame, self.timeline.interval_s) if recorded else frame * OWN_INTERVAL_S,
+            images=tuple(images),
+            rig=rig_at_sizes(sequence.rig, images),
+            world_from_ego=None if poses is None else poses[frame].numpy(),
+            truth={} if truth is None else {grid: truth.voxels[0]},
+            lidar=sequence.scene.lidar(frame) if recorded else None,
+            predictions={MODEL: FramePrediction(prediction.labels, grid, *prediction[1:], ranges, figures=figures)},
+        )
+        self.timeline.add(shown)
+
+
+class RangeStream:
+    """Shows every panorama of `predict.py depth` (`omniocc.predict.depth.ShowRanges`)."""
+
+    def __init__(self, recording: rr.RecordingStream):
+        self.timeline = Timeline(recording, WORLD_CLASSES, sparseocc_directions(), OWN_INTERVAL_S)
+
+    def __call__(
+        self,
+        frame: Frame,
+        images: Sequence[np.ndarray],
+        rig: Rig,
+        range_m: Float32[Tensor, "h w"],
+        panorama: Equirectangular,
+    ) -> None:
+        """Log one frame."""
+        time_s, at_sizes = self.timeline.count * OWN_INTERVAL_S, rig_at_sizes(rig, images)
+        shown = ShownFrame("", frame.name, time_s, tuple(images), at_sizes)
+        self.timeline.add(shown, {MODEL: (range_m, panorama)})

@@ -1,0 +1,118 @@
+"""Render the virtual world, read it back, or make a page to browse it: what `src/render.py` does with its options."""
+
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from omniocc.classes import WORLD_CLASSES
+from omniocc.data import DataError, SceneReader
+from omniocc.data.store.check import survey, survey_scene
+from omniocc.errors import UserError
+from omniocc.geometry import Cylinder
+from omniocc.progress import clock
+from omniworld.budget import announcement, begun, size
+from omniworld.class_fractions import fraction_table
+from omniworld.source import ScenePlan, VirtualWorld
+
+DECODED_FRAMES = 400
+
+
+def use_world(
+    world: VirtualWorld, first: int, count: int | None, whole_length: int, use: Literal["render", "check", "page"]
+) -> None:
+    """Render scenes of a world, read them back or draw a page.
+
+    Args:
+        world: whose scenes are used.
+        first: number of the first scene.
+        count: of scenes; None: all from the first on.
+        whole_length: frames that the scenes of the data set have, which may be more than are rendered now.
+        use: what is done with them.
+
+    Raises:
+        UserError: when no scenes are chosen.
+        DataError: when the disk refuses, or there is nothing to draw.
+    """
+    plans = selected(world.plans, first, count)
+    if use == "check":
+        read_back(world, plans)
+    elif use == "page":
+        draw_page(world, plans)
+    else:
+        render(world, plans, whole_length)
+
+
+def selected(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
+    """Return the scenes to work on; raise UserError when there are none."""
+    end = len(plans) if count is None else first + count
+    if first < 0 or end <= first or not plans[first:end]:
+        raise UserError(f"first_scene={first} scenes={count}: choose some of the {len(plans)} scenes of this preset")
+    return plans[first:end]
+
+
+def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
+    """Print what will be rendered, render it, print its size and the cost of all scenes of `whole_length` frames."""
+    missing = world.missing(plans)
+    if isinstance(world.place, Path):
+        print(announcement(world, plans), flush=True)
+    timed = missing and not begun(world, missing)
+    began_s = time.monotonic()
+    world.prepare(plans)
+    elapsed_s = time.monotonic() - began_s
+    scenes = [world.reader(plan) for plan in plans]
+    frames, taken = sum(map(len, scenes)), total_bytes(scenes)
+    print(f"{amount(world, scenes)} ({taken / 1e6 / frames:.2f} a frame)")
+    whole = len(world.plans) * whole_length
+    if frames < whole:
+        print(f"all {len(world.plans)} scenes, {whole} frames: {size(round(taken / frames * whole))}", end="")
+        frame_s = elapsed_s / (len(missing) * world.frames_per_scene or 1)
+        # a place is built once for all frames of a scene, so long scenes are cheaper
+        print(f", at most {clock(frame_s * whole)} with {max(1, world.workers)} processes" if timed else "")
+
+
+def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
+    """Print one line per problem, and the classes beside those of the paper's dataset; exit with 1 if there are any."""
+    missing = world.missing(plans)
+    problems = [f"{world.place}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
+    scenes = [world.reader(plan) for plan in plans if plan not in missing]
+    decoded = max(1, DECODED_FRAMES // len(plans))
+    work = partial(survey_scene, world.frames_per_scene, world.frame_interval_s, Cylinder(), decoded)
+    found = survey(work, scenes, world.workers)
+    problems += [line for result in found for line in result.problems]
+    if found:
+        print(fraction_table(np.sum([result.voxels for result in found], axis=0)))
+    if problems:
+        print("\n".join(problems))
+        sys.exit(1)
+    print(f"{amount(world, scenes)}: no problems found")
+
+
+def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
+    """Write the page beside the existing scenes."""
+    from omniocc.run.folder import PAGE
+    from omniworld.report.page import save_page  # not needed to render
+
+    missing = world.missing(plans)
+    scenes = [world.reader(plan) for plan in plans if plan not in missing]
+    if not scenes:
+        raise DataError(f"{world.place} has none of these scenes: run without page=true first")
+    path = Path(world.folder) / "index.html"
+    save_page(path, scenes, Cylinder(), WORLD_CLASSES)
+    absent = f", {len(missing)} missing" if missing else ""
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes{absent}")
+    print(f"{path.with_name(PAGE)}: {path.with_name(PAGE).stat().st_size / 1e6:.1f} MB, their voxels to turn")
+
+
+def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
+    """Return the place, number and size of the scenes in words."""
+    return f"{world.place}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
+
+
+def total_bytes(scenes: Sequence[SceneReader]) -> int:
+    """Return the size of all files that the scenes list, bytes."""
+    return sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())

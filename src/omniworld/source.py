@@ -1,0 +1,433 @@
+"""The virtual world as a source: its scenes, their folder, and their rendering."""
+
+import inspect
+from collections.abc import Sequence
+from contextlib import closing
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+
+from omniocc import seeding
+from omniocc.camera import Rig
+from omniocc.classes import WORLD_CLASSES
+from omniocc.code import code_fingerprint
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.recording.scene import SOFTWARE, append_frame, finish_scene
+from omniocc.data.recording.spec import RENDERED_REACH_M, recorded_spec
+from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.store.files import holds, is_url
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import META, SCHEMA, SceneWriter, digest
+from omniocc.errors import DataError
+from omniocc.frame import Frame
+from omniocc.geometry import Grid
+from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
+from omniocc.progress import Progress
+from omniworld.assets.vehicle import EGO_ROAD_M
+from omniworld.drawn import RANDOM, VERSION, disturbed, draw_rig
+from omniworld.render.own_car import mask_ego_car, road_of
+from omniworld.render.weather import WEATHERS, Weather, draw_weather
+from omniworld.scene import LabelMode, Scene
+from omniworld.sensors.recorder import Capture
+from omniworld.town.place import ABSTRACT, THEMES
+from omniworld.variations import late, night
+
+SEEDS_PER_SPLIT = 1_000_000
+SETTINGS = (
+    "frame_interval_s", "supersample", "erp_size", "erp_top_deg", "erp_bottom_deg", "weather", "label_mode", "lidars",
+    "capture",
+)  # fmt: skip
+"""Arguments of `Scene` that are equal for all scenes."""
+IN_TURN = "in_turn"
+FOLDER = Path(inspect.getfile(Scene)).parent
+BESIDE = ("source.py", "budget.py", "drawn.py", "class_fractions.py", "command.py", "mask.py", "report")
+"""Code beside the world's, which decides no content of a frame."""
+EQUAL = {"8a90f0fb9118a129": "4f35f93cc9fc00f7", "9863adaf676344ec": "9db84f4b5b033d9b"}
+"""Hashes of code by those of code that makes equal frames to the last bit: that of before it moved here."""
+VARIATIONS = "variations"
+"""Subfolder of the world's code that counts in the fingerprint only of data that use it."""
+CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
+"""Standard deviation of the errors in the recorded poses of drawn rigs, about each axis."""
+
+
+class ScenePlan(NamedTuple):
+    """A scene that is to be rendered: its name, split, kind of place, and the seed of everything random in it."""
+
+    name: str
+    split: Split
+    theme: str
+    seed: int
+
+
+@runtime_checkable
+class Recordable(Protocol):
+    """A scene that can be recorded frame by frame, such as `omniworld.Scene`."""
+
+    def frame(self, index: int) -> Frame:
+        """Return the frame with this number; it depends on nothing but the scene and the number."""
+        ...
+
+
+class VirtualWorld:
+    """A source (`SceneSource`) rendered on first use under `root/virtual-<hash of recipe>`.
+
+    The three splits have disjoint seeds, and therefore different streets. Adding scenes keeps those that exist; every
+    change in the content of a frame leads to another folder, so that settings never mix.
+
+    Args:
+        root: folder of all datasets, or a URL (memory://, http://, s3:// ...) of data rendered elsewhere.
+        rig: built-in rig by name, or a rig file; `random` draws another for each scene, see `omniworld.drawn`.
+        image_size: width and height of every camera image, px; those of drawn rigs have about as many pixels.
+        themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
+        train_scenes: number of scenes of the training split.
+        val_scenes: of the validation split.
+        test_scenes: of the test split.
+        frames_per_scene: recorded frames of each scene.
+        frame_interval_s: time between recorded frames.
+        supersample: camera rays per pixel along each side.
+        erp_size: width and height of the panorama of ranges, px.
+        erp_top_deg: elevation of the panorama's upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+        weather: of all scenes; None draws one for each by its seed, `in_turn` gives all of them the same share. `night`
+            is never drawn.
+        label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
+        lidars: number of virtual LiDARs of `lidar20`.
+        capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
+        repainted_fraction: fraction of scenes in which materials and colours of all that stands still are exchanged for
+            others.
+        test_places: those of `themes` that are left out of training and validation; the test consists of them.
+        late_camera_ms: how much older than their time stamps the images of one camera are, ms, at most 200; the cameras
+            take turns from scene to scene.
+        seed: of the streets in all splits.
+        shard_limit_mib: size at which a new tar shard begins, MiB.
+        workers: processes that render; 0 renders in this process, None takes all usable cores.
+        cache: folder for derived data (voxels); None puts it beside the scenes. A URL as root needs one.
+
+    Raises:
+        ValueError: naming the option that is impossible.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        rig: str,
+        image_size: Sequence[int],
+        themes: Sequence[str],
+        train_scenes: int,
+        val_scenes: int,
+        test_scenes: int,
+        frames_per_scene: int,
+        frame_interval_s: float,
+        supersample: int,
+        erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+        weather: Weather | Literal["night", "in_turn"] | None = None,
+        label_mode: LabelMode = "lidar20",
+        lidars: int = 20,
+        capture: Capture = "direct",
+        repainted_fraction: float = 0.0,
+        test_places: Sequence[str] = (),
+        late_camera_ms: float = 0.0,
+        seed: int = 0,
+        shard_limit_mib: int = 256,
+        workers: int | None = None,
+        cache: str | None = None,
+    ):
+        if is_url(root) and cache is None:
+            raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
+        self.root = root
+        self.cache = cache
+        self.rig = None if rig == RANDOM else _resized(rig, image_size)
+        self.pixels = image_size[0] * image_size[1]
+        self.themes = tuple(themes)
+        self.num_scenes = {"train": train_scenes, "val": val_scenes, "test": test_scenes}
+        self.frames_per_scene = _at_least("frames_per_scene", frames_per_scene, 1)
+        self.frame_interval_s = float(frame_interval_s)
+        self.supersample = _at_least("supersample", supersample, 1)
+        self.erp_size = tuple(erp_size)
+        self.erp_top_deg = float(erp_top_deg)
+        self.erp_bottom_deg = float(erp_bottom_deg)
+        self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, night.NIGHT, IN_TURN))
+        self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
+        self.lidars = _at_least("lidars", lidars, 1)
+        self.capture: Capture = _one_of("capture", capture, get_args(Capture))
+        if not 0 <= repainted_fraction <= 1:
+            raise ValueError(f"repainted_fraction is {repainted_fraction}; it must be from 0 to 1")
+        self.repainted_fraction = float(repainted_fraction)
+        if not 0 <= late_camera_ms <= late.LONGEST_MS:
+            raise ValueError(f"late_camera_ms is {late_camera_ms}; it must be from 0 to {late.LONGEST_MS:g}")
+        self.late_camera_ms = float(late_camera_ms)
+        self.seed = _at_least("seed", seed, 0)
+        self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
+        self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
+        known = (*THEMES, *ABSTRACT)
+        if not self.themes or not set(self.themes) <= set(known):
+            raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(known)}")
+        self.test_places = tuple(test_places)
+        if self.test_places and not set(self.test_places) < set(self.themes):
+            raise ValueError(
+                f"test_places are {list(self.test_places)}: choose some of the themes, and leave others for training "
+                f"({', '.join(self.themes)})"
+            )
+        for split, count in self.num_scenes.items():
+            if not 0 <= count < SEEDS_PER_SPLIT:
+                raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """Return everything that decides the content of a scene's frames, except theme and seed."""
+        return {
+            "schema": SCHEMA,
+            "world": world_code(),
+            "rig": f"{RANDOM} {VERSION} {self.pixels}" if self.rig is None else self.rig.fingerprint,
+            "frames_per_scene": self.frames_per_scene,
+            **self._settings,
+            "erp_size": list(self.erp_size),
+            "shard_limit_bytes": self.shard_limit_bytes,
+            **({"repainted_fraction": self.repainted_fraction} if self.repainted_fraction else {}),
+            **({"late_camera_ms": self.late_camera_ms} if self.late_camera_ms else {}),
+            **({"variations": variations_code()} if self.late_camera_ms or self.weather == night.NIGHT else {}),
+        }
+
+    @cached_property
+    def plans(self) -> tuple[ScenePlan, ...]:
+        """Return all scenes, in the order of splits and numbers."""
+        return tuple(self._plan(split, number) for split in SPLITS for number in range(self.num_scenes[split]))
+
+    @property
+    def fingerprint(self) -> str:
+        """Return a hash of the recipe and of the list of scenes: equal for equal data."""
+        return digest({"recipe": self.recipe, "plans": [list(plan) for plan in self.plans]})
+
+    @property
+    def spec(self) -> SourceSpec:
+        """Return the classes, bands and rays of the virtual world, and the road's height, None for drawn rigs."""
+        return world_spec(self.frame_interval_s, None if self.rig is None else road_of(self.rig))
+
+    @property
+    def name(self) -> str:
+        """Return the name of the folder that holds the scenes."""
+        return f"virtual-{digest(self.recipe)[:12]}"
+
+    @property
+    def place(self) -> Path | str:
+        """Return the folder or URL of the scenes."""
+        return f"{self.root.rstrip('/')}/{self.name}" if is_url(self.root) else Path(self.root) / self.name
+
+    @property
+    def folder(self) -> Path:
+        """Return the local folder of the dataset and of data derived from it."""
+        return Path(self.root if self.cache is None else self.cache) / self.name
+
+    def scene(self, plan: ScenePlan) -> Recordable:
+        """Return the world of one scene."""
+        draw, weather = seeding.generator(plan.theme, plan.seed, "repainted").uniform(), self.weather_of(plan)
+        kind, weather = (night.NightScene, night.BASE) if weather == night.NIGHT else (Scene, weather)
+        rig, settings = self.rig_of(plan), {**self._settings, "weather": weather}
+        scene = kind(plan.theme, plan.seed, rig, repaint=draw < self.repainted_fraction, **settings)
+        if not self.late_camera_ms:
+            return scene
+        return late.LateCamera(scene, plan.seed % len(rig.cameras), self.late_camera_ms / 1000, plan.seed)
+
+    def themes_of(self, split: Split) -> tuple[str, ...]:
+        """Return the kinds of places in a split."""
+        if not self.test_places:
+            return self.themes
+        return tuple(theme for theme in self.themes if (theme in self.test_places) == (split == "test"))
+
+    def rig_of(self, plan: ScenePlan) -> Rig:
+        """Return the cameras of one scene."""
+        return self.rig or draw_rig(seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
+
+    def calibration_of(self, plan: ScenePlan) -> Rig:
+        """Return the cameras of one scene as they are recorded: with masks, drawn rigs with errors of their poses."""
+        masked = mask_ego_car(self.rig_of(plan))
+        if self.rig is not None:
+            return masked
+        return disturbed(seeding.generator(plan.theme, plan.seed, "calibration"), masked, **CALIBRATION_ERROR)
+
+    def weather_of(self, plan: ScenePlan) -> str:
+        """Return the weather of one scene."""
+        if self.weather is None:
+            return draw_weather(seeding.generator(plan.theme, plan.seed, "light"))
+        if self.weather != IN_TURN:
+            return self.weather
+        turn, theme = divmod(plan.seed % SEEDS_PER_SPLIT, len(self.themes_of(plan.split)))
+        return WEATHERS[(turn + theme) % len(WEATHERS)]
+
+    @property
+    def made_here(self) -> bool:
+        """Return whether missing scenes are rendered on this machine; those below a URL are not."""
+        return not is_url(self.root)
+
+    def planned_rig(self) -> Rig:
+        """Return the cameras of the first training scene."""
+        return self.rig or self.rig_of(self.plans[0])
+
+    def planned(self, split: Split) -> dict[str, int]:
+        """Return the numbers of frames of the scenes of a split, by name, in order."""
+        return {plan.name: self.frames_per_scene for plan in self.plans if plan.split == split}
+
+    def made_before(self, fingerprint: str) -> list[SceneReader]:
+        """Return the scenes of all splits that had this fingerprint, even made by other code; none if they are gone.
+
+        A folder counts if the recipe that its scenes recorded, with these plans, has the fingerprint.
+        """
+        if isinstance(self.place, str):
+            return []
+        plans = [list(plan) for plan in self.plans]
+        for folder in sorted(Path(self.root).glob("virtual-*")):
+            scenes = [SceneReader(folder / plan.name) for plan in self.plans]
+            if scenes and all((folder / plan.name).is_dir() for plan in self.plans):
+                recipe = scenes[0].meta["facts"]["recipe"]
+                if digest({"recipe": recipe, "plans": plans}) == fingerprint:
+                    return scenes
+        return []
+
+    def made(self, split: Split, names: Sequence[str]) -> list[SceneReader]:
+        """Return some scenes of a split, after those that are missing have been rendered."""
+        plans = {plan.name: plan for plan in self.plans if plan.split == split}
+        self.prepare(chosen := [plans[name] for name in names])
+        return [self.reader(plan) for plan in chosen]
+
+    def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
+        """Return those of the planned scenes (all of them by default) that are not complete."""
+        return [plan for plan in (self.plans if plans is None else plans) if not self._exists(plan)]
+
+    def prepare(self, plans: Sequence[ScenePlan] | None = None) -> None:
+        """Render the missing ones of these scenes (None: of all); safe in several processes and after a kill.
+
+        Raises:
+            DataError: when the disk refuses, or scenes are missing in an object store.
+            RuntimeError: naming scene and frame, when rendering fails.
+        """
+        missing = self.missing(plans)
+        if not missing:
+            return
+        if isinstance(self.place, str):
+            raise DataError(
+                f"{self.place}: {len(missing)} scenes are missing, the first is {missing[0].name}. "
+                "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
+            )
+
+        def finished() -> int:
+            return sum(map(self._exists, missing)) * self.frames_per_scene
+
+        folders = [self.place / plan.name for plan in missing]
+        title, total = f"rendering {self.place}", len(missing) * self.frames_per_scene
+        with Progress(title, total, finished=finished) as progress:
+            make_scenes(partial(record_scene, self), folders, self.workers, progress)
+
+    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
+        """Return the voxel labels of a grid, voted from the recorded points."""
+        classes = self.spec.classes.num_classes
+        return VoxelCache(
+            self.folder, geometry, unknown, self.fingerprint, classes, self.workers, reach_m=RENDERED_REACH_M
+        )
+
+    def scenes(self, split: Split) -> list[SceneReader]:
+        """Return the scenes of a split, in order; raise DataError when one is missing."""
+        plans = [plan for plan in self.plans if plan.split == split]
+        for plan in self.missing(plans)[:1]:
+            raise DataError(f"{self._where(plan)} is missing: call prepare(), or run `python src/render.py`, first")
+        return [self.reader(plan) for plan in plans]
+
+    def reader(self, plan: ScenePlan) -> SceneReader:
+        """Return one scene; nothing is opened yet."""
+        return SceneReader(self._where(plan))
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in SETTINGS}
+
+    def _where(self, plan: ScenePlan) -> Path | str:
+        return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name
+
+    def _exists(self, plan: ScenePlan) -> bool:
+        if isinstance(self.place, Path):
+            return (self.place / plan.name).is_dir()
+        try:
+            return holds(self._where(plan), META)
+        except Exception as error:  # each kind of store has errors of its own
+            raise self.reader(plan).unreadable(META, error) from error
+
+    def _plan(self, split: Split, number: int) -> ScenePlan:
+        # with 24 + 4 + 4 scenes of eight themes, as in the paper, each theme has four
+        themes = self.themes_of(split)
+        first = len(themes) // 2 if split == "test" else 0
+        theme = themes[(first + number) % len(themes)]
+        # no street is in two splits, for any numbers of scenes
+        seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
+        name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
+        return ScenePlan(name, split, theme, seed)
+
+
+def record_scene(world: VirtualWorld, folder: Path, report: Report) -> None:
+    """Render the frames that are missing in the folder of a planned scene, then complete it.
+
+    Raises:
+        RuntimeError: naming scene and frame, when the world fails.
+    """
+    with closing(SceneWriter(folder, world.shard_limit_bytes)) as writer:
+        if writer.finished:
+            report(world.frames_per_scene)
+            return
+        report(writer.num_frames)
+        plan = next(plan for plan in world.plans if plan.name == folder.name)
+        _record_frames(world, plan, writer, report)
+        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": world.weather_of(plan)}
+        facts["recipe"] = world.recipe
+        edges_deg = world.erp_top_deg, world.erp_bottom_deg
+        finish_scene(writer, world.calibration_of(plan), world.spec, edges_deg, facts, (*SOFTWARE, "embreex"))
+
+
+def _record_frames(world: VirtualWorld, plan: ScenePlan, writer: SceneWriter, report: Report) -> None:
+    index = writer.num_frames
+    try:
+        scene = world.scene(plan) if index < world.frames_per_scene else None
+        for index in range(writer.num_frames, world.frames_per_scene):
+            assert scene is not None
+            append_frame(writer, scene.frame(index))
+            report(1)
+    except (DataError, Stopped):
+        raise
+    except Exception as error:  # of any kind: the message names scene and frame
+        raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
+
+
+def world_code() -> str:
+    """Return a hash of the code that decides the content of every scene."""
+    code = code_fingerprint(FOLDER, (VARIATIONS, *BESIDE), (Path(inspect.getfile(seeding)),))
+    return EQUAL.get(code, code)
+
+
+def variations_code() -> str:
+    """Return a hash of the code of what only some options ask for."""
+    code = code_fingerprint(FOLDER / VARIATIONS)
+    return EQUAL.get(code, code)
+
+
+@cache
+def world_spec(frame_interval_s: float, road_z_m: float | None = EGO_ROAD_M) -> SourceSpec:
+    """Return the facts about scenes of the virtual world at this interval, s, and height of the road, m, ego frame."""
+    return recorded_spec(WORLD_CLASSES, frame_interval_s, road_z_m)
+
+
+def _resized(rig: str, image_size: Sequence[int]) -> Rig:
+    try:
+        return Rig.load(rig).resized(*image_size)
+    except ValueError as error:
+        raise ValueError(f"rig={rig}, image_size={list(image_size)}: {error}") from error
+
+
+def _at_least(name: str, value: int, least: int) -> int:
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value}")
+    return value
+
+
+def _one_of(name: str, value: Any, options: Sequence[str]) -> Any:
+    if value not in options:
+        raise ValueError(f"{name} is {value}: choose one of {', '.join(options)}")
+    return value
