@@ -20,7 +20,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["results/runs/report/**", "_build"]
+exclude_patterns = ["results/report/**", "_build"]
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 4
 highlight_language = "text"

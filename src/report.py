@@ -6,6 +6,8 @@ dataset have tables and a page of their own in a subfolder; rows of tables may n
 while a sweep is running. A summary is printed, with `--all` every table. A run belongs to the row of its name
 (`+ablation=mono` gives `mono-<hash>`), or else to the row with the same configuration (`make demo FULL=1`: `extended`).
 
+A folder of runs may also be one file (`docs/results/runs.tar.xz`), which `--runs` reads and `--keep` adds to.
+
 `python src/report.py --compare my_refiner omnidepth_occ` only prints whether one row is ahead of another.
 """
 
@@ -13,6 +15,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
+from omniocc.report.archive import folder_of, is_archive
 from omniocc.report.datasets import dataset_part, load_dataset_table, with_folders
 from omniocc.report.keep import keep_records
 from omniocc.report.sweep import read_sweeps
@@ -29,13 +32,13 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     found = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     folder = partial(found.add_argument, type=Path, metavar="FOLDER")
-    folder("--runs", default=Path("runs"), help="folder of runs")
+    folder("--runs", default=Path("runs"), help="folder of runs, or their archive (.tar.xz)")
     folder("--sweeps", default=ROOT / "sweeps", help="folder of the paper's tables")
     folder("--conf", default=ROOT / "conf", help="folder of the configuration")
-    folder("--output", help="folder of the report (default: report in the folder of runs)")
+    folder("--output", help="folder of the report (default: report in the folder of runs, or beside their archive)")
     docs = "write pages and CSV of all results too, into this folder; with docs/results also the results in README.md"
     folder("--docs", help=docs)
-    kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
+    kept = "only copy the figures, configuration and curves of all finished runs into this folder or archive (.tar.xz)"
     folder("--keep", help=kept)
     recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
     folder("--datasets", nargs="+", help=recorded)
@@ -53,15 +56,18 @@ def main(arguments: list[str] | None = None) -> None:
     if options.datasets is not None:
         print(parts_text([dataset_part(with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets))]))
     elif options.keep is not None:
-        print(f"{len(keep_records(options.runs, options.keep))} runs kept in {options.keep}")
+        with folder_of(options.runs) as runs, folder_of(options.keep, to_change=True) as kept:
+            print(f"{len(keep_records(runs, kept))} runs kept in {options.keep}")
     else:
-        sweeps = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
-        if options.compare is not None:
-            print(comparison_text(sweeps, options.compare))
-            return
-        if options.docs is not None:
-            write_documentation(sweeps, options.docs, ROOT)
-        write_report(sweeps, options.output or options.runs / "report", options.all)
+        with folder_of(options.runs) as runs:
+            sweeps = read_sweeps(runs, options.sweeps, options.conf, options.preset)
+            if options.compare is not None:
+                print(comparison_text(sweeps, options.compare))
+                return
+            if options.docs is not None:
+                write_documentation(sweeps, options.docs, ROOT)
+            beside = options.runs.parent if is_archive(options.runs) else options.runs
+            write_report(sweeps, options.output or beside / "report", options.all)
 
 
 if __name__ == "__main__":

@@ -152,7 +152,7 @@ def test_the_sizes_and_classes_of_the_data_page_are_those_of_the_code():
 
 
 def test_the_results_in_the_readme_are_those_of_their_page():
-    """`python src/report.py --runs docs/results/runs --docs docs/results` writes both; see `test_results.py`."""
+    """`python src/report.py --runs docs/results/runs.tar.xz --docs docs/results` writes both; see `test_results.py`."""
     marks = re.compile(
         r"^<!-- Results, written by .*? -->$.*?^<!-- End of the results\. -->$", re.MULTILINE | re.DOTALL
     )

@@ -57,7 +57,7 @@ def checked_name(what: str, name: object) -> str:
     Raises:
         UserError: naming `what` has the name, if it could lead out of its folder, be hidden, or not be written.
     """
-    if isinstance(name, str) and _can_be_in_paths(name):
+    if isinstance(name, str) and can_be_in_paths(name):
         return name
     raise UserError(
         f"{what} is {shown(name)}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
@@ -65,8 +65,9 @@ def checked_name(what: str, name: object) -> str:
     )
 
 
-def _can_be_in_paths(name: str) -> bool:
-    sized = name.isprintable() and 0 < len(name.encode()) <= NAME_BYTES
+def can_be_in_paths(name: str, most_bytes: int = NAME_BYTES) -> bool:
+    """Return whether a name can be that of a file or folder: it leads nowhere else and is not hidden."""
+    sized = name.isprintable() and 0 < len(name.encode()) <= most_bytes
     return sized and not set(name) & NOT_IN_NAMES and name.strip() == name and not name.startswith(".")
 
 

@@ -193,7 +193,7 @@ def test_the_tables_are_written_as_pages_of_the_documentation_and_csv(runs, tmp_
     }  # fmt: skip
     assert {"sketch.csv", "runs.csv", "claims.csv", "power.csv"} <= {path.name for path in (docs / "csv").iterdir()}
     generated, _, title, *lines = (docs / "paper.md").read_text("utf-8").splitlines()
-    command = "python src/report.py --runs docs/results/runs --docs docs/results"
+    command = "python src/report.py --runs docs/results/runs.tar.xz --docs docs/results"
     assert generated == f"<!-- Written by `{command}`; do not edit. -->"
     assert title == "# The paper's tables, trained here"
     headings = [line.removeprefix("## ").partition(":")[0] for line in lines if line.startswith("## ")]

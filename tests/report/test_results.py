@@ -1,34 +1,31 @@
 """The pages of results and the CSV beside them are made of the kept records alone, and are up to date."""
 
 import csv
-import shutil
 from pathlib import Path
 
 import pytest
 
+from omniocc.report.archive import folder_of, read_archive
 from omniocc.report.docs import write_docs
-from omniocc.report.runs import read_runs
 from omniocc.report.sweep import read_sweeps
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
+RECORDS = RESULTS / "runs.tar.xz"
 PAGES = [path for path in RESULTS.rglob("*.md") if path.read_text().startswith("<!-- Written")]
 GENERATED = {str(path.relative_to(RESULTS)): path.read_bytes() for path in [*PAGES, *(RESULTS / "csv").iterdir()]}
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> dict[str, bytes]:
-    """Return the files of copied records, whose files have other times and lie elsewhere."""
-    folder = tmp_path_factory.mktemp("records")
-    for path in sorted((RESULTS / "runs").iterdir(), reverse=True):
-        shutil.copytree(path, folder / path.name, copy_function=shutil.copyfile)
-    sweeps = read_sweeps(folder, ROOT / "sweeps", ROOT / "conf", None)
-    docs = folder / "docs"
-    return {str(path.relative_to(docs)): path.read_bytes() for path in write_docs(sweeps, docs)}
+    docs = tmp_path_factory.mktemp("docs")
+    with folder_of(RECORDS) as folder:
+        files = write_docs(read_sweeps(folder, ROOT / "sweeps", ROOT / "conf", None), docs)
+    return {str(path.relative_to(docs)): path.read_bytes() for path in files}
 
 
 def test_every_generated_file_is_written_again_bit_for_bit(written):
-    """`python src/report.py --runs docs/results/runs --docs docs/results` changes nothing."""
+    """`python src/report.py --runs docs/results/runs.tar.xz --docs docs/results` changes nothing."""
     assert len(PAGES) == 8
     assert sorted(written) == sorted(GENERATED)
     assert [name for name, page in GENERATED.items() if written[name] != page] == []
@@ -36,7 +33,12 @@ def test_every_generated_file_is_written_again_bit_for_bit(written):
 
 def test_every_kept_run_is_in_the_list_of_runs(written):
     lines = csv.DictReader(written["csv/runs.csv"].decode().splitlines())
-    assert {line["run"] for line in lines} == {run.name for run in read_runs(RESULTS / "runs")}
+    kept = [name.split("/") for name in read_archive(RECORDS)]
+    assert {line["run"] for line in lines} == {run for run, *file in kept if file == ["metrics.json"]}
+
+
+def test_the_records_are_small():
+    assert RECORDS.stat().st_size <= 3_000_000
 
 
 def test_no_column_has_an_empty_head_and_text_stands_to_the_left(written):

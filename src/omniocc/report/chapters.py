@@ -57,12 +57,12 @@ def budget_part(sweep: Sweep, listed: budget.Rows) -> Part:
 
 
 def run_list(sweep: Sweep, folder: Path) -> str:
-    """Return a list of the runs: a link from a folder to each, and the command that made it."""
+    """Return a list of the runs: a link from a folder to each that has one, and the command that made it."""
     lines = ["## Runs", ""]
     for run in (run for runs in sweep.rows.values() for run in runs):
-        where = path_between(folder, run.folder)
-        command = run.command or "command not recorded"
-        lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
+        where = run.link and path_between(folder, run.link)
+        name = f"[{run.name}]({where}/) ([config.yaml]({where}/config.yaml))" if where else run.name
+        lines.append(f"- {name}: `{run.command or 'command not recorded'}`")
     return "\n".join([*lines, ""])
 
 

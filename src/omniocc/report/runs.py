@@ -14,6 +14,7 @@ from omniocc.config import GROUPS, fits
 from omniocc.errors import UserError, shown
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.progress import Progress
+from omniocc.report.archive import is_archive
 from omniocc.run.folder import METRICS, command_of
 from omniocc.run.renamed import renamed
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
@@ -58,6 +59,11 @@ class FinishedRun(NamedTuple):
     def command(self) -> str | None:
         """Return the command that made it, with the packages that it needs; None if it was not recorded."""
         return command_of(self.facts, self.config)
+
+    @property
+    def link(self) -> Path | None:
+        """Return the folder for links to it; None for a run of an archive, whose folder is gone after the report."""
+        return None if is_archive(self.folder.parent) else self.folder
 
     @property
     def place(self) -> tuple[str, Any]:

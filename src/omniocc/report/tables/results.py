@@ -21,7 +21,7 @@ from omniocc.report.tables.paper import NUMERALS, PaperTable, figure_of, has_pap
 from omniocc.report.tables.training import Planned, by_steps, decided_in
 from omniocc.run.table import VOXEL_RAYIOU, markdown, number
 
-COMMAND = "python src/report.py --runs docs/results/runs --docs docs/results"
+COMMAND = "python src/report.py --runs docs/results/runs.tar.xz --docs docs/results"
 """What writes the documentation's pages of results, and the block in the README."""
 EQUAL_BUDGET, DISTANCE = "equal_budget", "distance"
 """The tables of rows with as many steps as all stages of the paper's model have together, and of scores by distance."""
