@@ -26,14 +26,14 @@ def started_by_others() -> bool:
     return "SLURM_PROCID" in given and "LOCAL_RANK" not in given and given.get("SLURM_NTASKS", "1") != "1"
 
 
-def share() -> tuple[int, int]:
+def rank_and_world_size() -> tuple[int, int]:
     """Return the number of this process and the number of processes; 0 and 1 as long as no others have joined."""
     if not distributed.is_initialized():
         return 0, 1
     return distributed.get_rank(), distributed.get_world_size()
 
 
-def from_first(value: Value) -> Value:
+def broadcast(value: Value) -> Value:
     """Return the first process's value in all of them; the own one as long as no others have joined."""
     if not distributed.is_initialized():
         return value
@@ -42,7 +42,7 @@ def from_first(value: Value) -> Value:
     return values[0]
 
 
-def from_all(value: Value) -> list[Value]:
+def all_gather(value: Value) -> list[Value]:
     """Return the values of all processes, which have to call this together; the own one as long as no others joined."""
     if not distributed.is_initialized():
         return [value]
@@ -51,7 +51,7 @@ def from_all(value: Value) -> list[Value]:
     return values
 
 
-def meet() -> None:
+def barrier() -> None:
     """Wait until all processes are here."""
     if distributed.is_initialized():
         distributed.barrier()

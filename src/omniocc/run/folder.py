@@ -18,7 +18,7 @@ from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.run.checkpoint_io import LAST, no_checkpoint, resumable
-from omniocc.run.distributed import from_first, is_first, started_by_others
+from omniocc.run.distributed import broadcast, is_first, started_by_others
 from omniocc.run.slots import sketch_learns
 from omniocc.run.weights import find_checkpoint
 
@@ -137,7 +137,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         os.environ[RANK_FOLDER] = str(path)
     else:
         path = Path(os.environ.get(RANK_FOLDER, path))
-    path = Path(from_first(str(path)))
+    path = Path(broadcast(str(path)))
     path.mkdir(parents=True, exist_ok=True)
     given = given_checkpoint(resume)
     if (path / METRICS).exists():

@@ -19,8 +19,8 @@ from omniocc.config import ConfigError
 from omniocc.errors import UserError, first_line
 from omniocc.io import read_yaml
 
-CONF = Path(omniocc.__file__).parents[2] / "conf"
-"""Folder of the options, beside `src`."""
+CONF = Path(omniocc.__file__).parent / "conf"
+"""Folder of the options: a link to the one beside `src`, and a copy of it in a wheel."""
 GROUPS = {
     "depth": "model/depth",
     "model": "model",
@@ -67,8 +67,8 @@ def offered(conf: Path = CONF) -> Offered:
     """
     if not conf.is_dir():
         raise UserError(
-            f"{conf} is missing, which says what a file of weights may name: use a clone of the repository, installed "
-            "by 'make setup' or 'pip install --editable .'"
+            f"{conf} is missing, which says what a file of weights may name: install the package again, or "
+            "use a clone of the repository, installed by 'make setup'"
         )
     found = Offered(defaultdict(set), {})
     for path in sorted(conf.rglob("*.yaml")):

@@ -11,7 +11,7 @@ from omniocc.data.module import worker_options
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.progress import Progress
-from omniocc.run.distributed import share
+from omniocc.run.distributed import rank_and_world_size
 from omniocc.task.stage_task import StageTask
 
 Inputs = tuple[Tensor | None, ...]
@@ -40,8 +40,8 @@ class Leaves(NamedTuple):
 
     def missing(self) -> list[SceneFrames]:
         """Return this process's share of the scenes that are missing in one of the caches."""
-        rank, processes = share()
-        own = self.scenes[rank::processes]
+        rank, world_size = rank_and_world_size()
+        own = self.scenes[rank::world_size]
         absent = {scene.name for cache in self.caches for scene in cache.missing(own)}
         return [scene for scene in own if scene.name in absent]
 

@@ -12,7 +12,7 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
 from omniocc.data.store.reader import SceneReader
 from omniocc.metric import RayTruth
-from omniocc.run.distributed import from_all
+from omniocc.run.distributed import all_gather
 from omniocc.run.scenes import LIDAR, MOVING, RAYS, Counted, save_scenes
 from omniocc.task.scores import Scores
 from rayiou.ray_counts import RayCounts
@@ -52,7 +52,7 @@ class SceneCounts:
     def of_all(self) -> dict[str, Counted]:
         """Return the counts of every scene, summed over all processes, which have to call this together."""
         found: dict[str, Counted] = {}
-        for part in from_all(self.counted):
+        for part in all_gather(self.counted):
             for name, counted in part.items():
                 scene = found.setdefault(name, {})
                 for kind, lines in counted.items():

@@ -20,7 +20,7 @@ from omniocc.parts import Parts
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, peak_mib
-from omniocc.run.distributed import is_first, meet
+from omniocc.run.distributed import barrier, is_first
 from omniocc.run.folder import METRICS, command_line, git_commit
 from omniocc.run.machine import MACHINE, machine
 from omniocc.run.plan import Amount, validation_times
@@ -150,7 +150,7 @@ class Stage(ABC):
                     self.train(task, place, title)
                 if leaves is not None:
                     leaves.fill(task, self.parts.trainer().strategy.root_device, self.data.num_workers, title)
-        meet()
+        barrier()
         if is_first():
             show_results(place.results)
         return load_results(place.results)[1]
@@ -197,7 +197,7 @@ class Stage(ABC):
         metrics |= trainer.test(task, datamodule=data, ckpt_path=tested, verbose=False)[0]
         if tested is None:
             trainer.save_checkpoint(last)
-        meet()
+        barrier()
         if not trainer.is_global_zero:
             return
         device = trainer.strategy.root_device

@@ -39,7 +39,7 @@ FIRST_TRUST = 4.0
 class OmniMVS(SphereNet):
     """Find where two panoramas of features agree on every sphere: one from every other camera, one from the rest.
 
-    The correlation of the two panoramas on all spheres, by groups of channels, and the mean and difference of their
+    The similarity of the two panoramas on all spheres, by groups of channels, and the mean and difference of their
     features (so that the two sets may be swapped) go through a 2D network that wraps around. Rotating a rig
     of even symmetry by one camera rotates the answer.
 
@@ -49,11 +49,11 @@ class OmniMVS(SphereNet):
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
         feature_stride: image pixels per feature along each side, 1 or 2.
         match_channels: features that are compared.
-        groups: correlations per sphere, a divisor of `match_channels`.
+        groups: similarities per sphere, a divisor of `match_channels`.
         context_channels: features that are passed on without comparison.
         sweep_stride: panorama pixels per swept point along each side, 1 or 2.
         channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
-        fine_channels: of the layers at full size, which get the correlations and the mean features again.
+        fine_channels: of the layers at full size, which get the similarities and the mean features again.
         blocks: residual blocks on each level, down and up again.
         pairs: how cameras are divided into the two sets. `alternate`: every other camera of the ring, in all
             directions. `nearest`: every other one of those that see a point, by its angle from their axes, so that two
