@@ -152,7 +152,7 @@ class WindowDataset(Dataset):
             rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
-            voxels=self.voxels.read(getattr(scene, "recorded", scene), newest) if needs.voxels else None,
+            voxels=self.voxels.read(getattr(scene, "undisturbed", scene), newest) if needs.voxels else None,
             **(self._benchmark(scene, newest) if needs.scores else {}),
             pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
             **(self._lidar(scene, newest) if needs.scores else {}),

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, cast
 from omegaconf import OmegaConf
 
 from omniocc.camera import Pinhole, Rig
+from omniocc.config import OWN_PACKAGE, check
 from omniocc.data.recording.spec import DRAWN_RIG
 from omniocc.data.source import SPLITS, MadeScenes
 from omniocc.data.store.files import list_folders
@@ -17,8 +18,8 @@ from omniocc.parts import Parts
 from omniocc.report.runs import FinishedRun, read_mapping
 from omniocc.report.tables.formats import Part, csv_text, tabular
 from omniocc.report.tables.paper import NUMERALS
-from omniocc.run.checkpoint import check_parts
 from omniocc.run.table import Cells
+from omniocc.run.trust import not_offered
 
 MADE = {"rig", "frames_per_scene", *(f"{split}_scenes" for split in SPLITS)}
 """Arguments of sources whose scenes are made."""
@@ -114,10 +115,13 @@ def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) 
 
 def scenes_of(run: FinishedRun) -> Sequence[SceneReader]:
     """Return all scenes that a run was trained, validated and tested on; none if exactly this data is missing."""
+    own = {"data": {"source": (run.config.get("data") or {}).get("source")}}
+    if not isinstance(own["data"]["source"], dict) or next(not_offered(own, OWN_PACKAGE), None) is not None:
+        return []
     try:
-        check_parts(run.folder, config := OmegaConf.create(dict(run.config)), ["data"])
+        check(config := OmegaConf.create(own), packages=OWN_PACKAGE)
         source = Parts(config).source()
-    except UserError:  # of another version, or with a class that is not offered
+    except UserError:  # of another version
         return []
     found = source.made_before(str(run.facts.get("data"))) if isinstance(source, MadeScenes) else []
     return cast(Sequence[SceneReader], found)

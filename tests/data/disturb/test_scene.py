@@ -105,5 +105,5 @@ def test_cameras_are_moved_by_this_distance(scene):
 
 def test_the_recorded_scene_is_behind_the_disturbed_one(scene):
     frames = disturbed(scene, TWO, "two", 0)
-    assert frames.recorded is scene
-    assert not hasattr(scene, "recorded")
+    assert frames.undisturbed is scene
+    assert not hasattr(scene, "undisturbed")

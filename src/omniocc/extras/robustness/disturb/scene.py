@@ -38,7 +38,7 @@ class DisturbedScene:
         return len(self.scene)
 
     @property
-    def recorded(self) -> SceneFrames:
+    def undisturbed(self) -> SceneFrames:
         """Return the scene as it was recorded: its own cameras decide which cells were observed."""
         return self.scene
 
