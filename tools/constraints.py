@@ -21,7 +21,7 @@ HEADER = """\
 # tag: the CPU or the CUDA build of that version, whichever your index serves; its CUDA build pins what it needs.
 """
 HERE = " ; platform_machine == 'x86_64' and sys_platform == 'linux'"  # `tool.uv.environments`, the same on every line
-CUDA_ONLY = re.compile(r"(nvidia-|cuda-|triton==)")
+LEFT_OUT = re.compile(r"(nvidia-|cuda-|triton==|-e )")  # what only CUDA needs, and our own package
 SOURCE_ONLY = ("antlr4-python3-runtime",)  # pure Python, published without a wheel
 
 
@@ -50,7 +50,7 @@ def write(upgrade: bool) -> None:
             "pyproject.toml", "--extra=dev", "--universal", f"--python-version={pythons()[0]}",
             f"--constraint={torch}", f"--output-file={pins}",
         )  # fmt: skip
-        lines = [line.removesuffix(HERE) for line in pins.read_text().splitlines() if not CUDA_ONLY.match(line)]
+        lines = [line.removesuffix(HERE) for line in pins.read_text().splitlines() if not LEFT_OUT.match(line)]
     FILE.write_text(HEADER + "\n".join(lines) + "\n")
     print(f"{FILE.name}: {len(lines)} versions")
 
