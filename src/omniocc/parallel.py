@@ -16,7 +16,6 @@ from pathlib import Path
 from queue import Empty
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, TypeVar
-from unittest.mock import patch
 
 from filelock import FileLock, Timeout
 
@@ -57,7 +56,7 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
         for report_wait in (None, progress.wait):
             folders = [folder for folder in folders if not _make(work, progress.advance, folder, report_wait)]
         return
-    context = process_context()
+    context = process_context(work)
     with worker_environment(needs_main=b"__main__" in pickle.dumps(work)):
         events, stop = context.Queue(), context.Event()
         pool = ProcessPoolExecutor(min(workers, len(folders)), context, _start_worker, (work, events, stop))
@@ -87,7 +86,7 @@ def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) 
         return
     with (
         worker_environment(needs_main=False),
-        ProcessPoolExecutor(min(workers, len(items)), process_context(), limit_threads) as pool,
+        ProcessPoolExecutor(min(workers, len(items)), process_context(work), limit_threads) as pool,
     ):
         try:
             yield from pool.map(work, items)
@@ -95,12 +94,12 @@ def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) 
             raise DataError("a process was killed (out of memory?). Run the same command with fewer workers") from error
 
 
-def process_context() -> Any:
-    """Return the multiprocessing context; with `forkserver` processes are copies of one that has the imports."""
+def process_context(work: Callable[..., Any]) -> Any:
+    """Return the multiprocessing context; with `forkserver` they are copies of one with the imports of `work`."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["omniworld.source", "omniocc.data.labels.voxels"])
+    context.set_forkserver_preload([getattr(work, "func", work).__module__])
     return context
 
 
@@ -114,12 +113,20 @@ def worker_environment(needs_main: bool) -> Iterator[None]:
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     changes = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
     script = sys.modules["__main__"]
-    with contextlib.ExitStack() as restored:
-        restored.enter_context(patch.dict(os.environ, changes))
-        for name in () if needs_main else ("__file__", "__spec__"):
-            if getattr(script, name, None) is not None:
-                restored.enter_context(patch.object(script, name, None))
+    names = () if needs_main else ("__file__", "__spec__")
+    hidden = {name: value for name in names if (value := getattr(script, name, None)) is not None}
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    vars(script).update(dict.fromkeys(hidden))
+    try:
         yield
+    finally:
+        vars(script).update(hidden)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def limit_threads(_worker: int = 0) -> None:

@@ -9,9 +9,17 @@ AZURE = "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY"
 GOOGLE = "GOOGLE_APPLICATION_CREDENTIALS"
 NETRC = "~/.netrc, or the file that NETRC names"
 CREDENTIALS = {
-    "http": NETRC, "https": NETRC, "s3": AWS, "s3a": AWS, "gs": GOOGLE, "gcs": GOOGLE, "abfs": AZURE, "az": AZURE,
-    "file": "", "memory": "",
-}  # fmt: skip
+    "http": NETRC,
+    "https": NETRC,
+    "s3": AWS,
+    "s3a": AWS,
+    "gs": GOOGLE,
+    "gcs": GOOGLE,
+    "abfs": AZURE,
+    "az": AZURE,
+    "file": "",
+    "memory": "",
+}
 """The protocols that are read, and where the clients of their stores look for credentials."""
 ANY = "the environment variables FSSPEC_<PROTOCOL>_<OPTION> or ~/.config/fsspec"
 WITH_CONTAINER = ("abfs", "az")

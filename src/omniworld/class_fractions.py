@@ -10,9 +10,18 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 
 PUBLISHED_PERCENT: dict[str, float] = {
-    "Road": 57.03, "Sidewalk": 13.96, "Ground": 13.63, "Building": 6.83, "Wall": 2.04, "Vegetation": 6.83,
-    "Vehicle": 0.56, "Other": 0.71, "Pole": 0.36, "Pedestrian": 0.02, "Roadline": 1.09,
-}  # fmt: skip
+    "Road": 57.03,
+    "Sidewalk": 13.96,
+    "Ground": 13.63,
+    "Building": 6.83,
+    "Wall": 2.04,
+    "Vegetation": 6.83,
+    "Vehicle": 0.56,
+    "Other": 0.71,
+    "Pole": 0.36,
+    "Pedestrian": 0.02,
+    "Roadline": 1.09,
+}
 """Percent of occupied voxels, from the legend on the authors' page; they add up to 103, so one is a misprint."""
 
 

@@ -196,7 +196,12 @@ def _ocam(rng: Draw, half_deg: float) -> Shape:
 
 
 _DRAW: dict[str, Callable[[Draw, float], Shape]] = {
-    "equidistant": _equidistant, "pinhole": _pinhole, "kannala_brandt": _kannala_brandt,
-    "double_sphere": _double_sphere, "eucm": _eucm, "mei": _mei, "radial_polynomial": _radial_polynomial,
+    "equidistant": _equidistant,
+    "pinhole": _pinhole,
+    "kannala_brandt": _kannala_brandt,
+    "double_sphere": _double_sphere,
+    "eucm": _eucm,
+    "mei": _mei,
+    "radial_polynomial": _radial_polynomial,
     "ocam": _ocam,
-}  # fmt: skip
+}

@@ -110,11 +110,16 @@ class Scene:
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
         in_light = np.concatenate([spheres, spheres_of(ego_mesh)])
         snapshot = Snapshot(
-            Layers([self._static, moving]), Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
+            Layers([self._static, moving]),
+            Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
             self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(ego_mesh)]),
-            self._static.size + moving.size, world_from_ego[:3, :3].astype(np.float32),
-            world_from_ego[:3, 3].astype(np.float32), moving_mesh, spheres, self._light,
-        )  # fmt: skip
+            self._static.size + moving.size,
+            world_from_ego[:3, :3].astype(np.float32),
+            world_from_ego[:3, 3].astype(np.float32),
+            moving_mesh,
+            spheres,
+            self._light,
+        )
         return snapshot, actors
 
     def _world_from_ego(self, time_s: float) -> np.ndarray:

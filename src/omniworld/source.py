@@ -1,6 +1,5 @@
 """The virtual world as a source: its scenes, their folder, and their rendering."""
 
-import inspect
 from collections.abc import Sequence
 from contextlib import closing
 from functools import cache, cached_property, partial
@@ -10,7 +9,6 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkab
 from omniocc import seeding
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.code import code_fingerprint
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.scene import SOFTWARE, append_frame, finish_scene
 from omniocc.data.recording.spec import RENDERED_REACH_M, recorded_spec
@@ -25,6 +23,7 @@ from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
 from omniworld.drawn import RANDOM, VERSION, disturbed, draw_rig
+from omniworld.fingerprint import variations_code, world_code
 from omniworld.render.own_car import mask_ego_car, road_of
 from omniworld.render.weather import WEATHERS, Weather, draw_weather
 from omniworld.scene import LabelMode, Scene
@@ -34,18 +33,18 @@ from omniworld.variations import late, night
 
 SEEDS_PER_SPLIT = 1_000_000
 SETTINGS = (
-    "frame_interval_s", "supersample", "erp_size", "erp_top_deg", "erp_bottom_deg", "weather", "label_mode", "lidars",
+    "frame_interval_s",
+    "supersample",
+    "erp_size",
+    "erp_top_deg",
+    "erp_bottom_deg",
+    "weather",
+    "label_mode",
+    "lidars",
     "capture",
-)  # fmt: skip
+)
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
-FOLDER = Path(inspect.getfile(Scene)).parent
-BESIDE = ("source.py", "budget.py", "drawn.py", "class_fractions.py", "command.py", "mask.py", "report")
-"""Code beside the world's, which decides no content of a frame."""
-EQUAL = {"8a90f0fb9118a129": "4f35f93cc9fc00f7", "9863adaf676344ec": "9db84f4b5b033d9b"}
-"""Hashes of code by those of code that makes equal frames to the last bit: that of before it moved here."""
-VARIATIONS = "variations"
-"""Subfolder of the world's code that counts in the fingerprint only of data that use it."""
 CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
 """Standard deviation of the errors in the recorded poses of drawn rigs, about each axis."""
 
@@ -394,18 +393,6 @@ def _record_frames(world: VirtualWorld, plan: ScenePlan, writer: SceneWriter, re
         raise
     except Exception as error:  # of any kind: the message names scene and frame
         raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
-
-
-def world_code() -> str:
-    """Return a hash of the code that decides the content of every scene."""
-    code = code_fingerprint(FOLDER, (VARIATIONS, *BESIDE), (Path(inspect.getfile(seeding)),))
-    return EQUAL.get(code, code)
-
-
-def variations_code() -> str:
-    """Return a hash of the code of what only some options ask for."""
-    code = code_fingerprint(FOLDER / VARIATIONS)
-    return EQUAL.get(code, code)
 
 
 @cache

@@ -93,9 +93,12 @@ def thin_frames(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
 
 
 def trajectory_origins(
-    world_from_ego: Float[Tensor, "*poses"] | np.ndarray, frame: int, grid: Lattice,
-    ego_from_sensor: Float[Tensor, "*sensor_poses"] | np.ndarray | None = None, most: int = MOST_ORIGINS,
-) -> RayOrigins:  # fmt: skip
+    world_from_ego: Float[Tensor, "*poses"] | np.ndarray,
+    frame: int,
+    grid: Lattice,
+    ego_from_sensor: Float[Tensor, "*sensor_poses"] | np.ndarray | None = None,
+    most: int = MOST_ORIGINS,
+) -> RayOrigins:
     """Return where the car was before, at and after a frame, as origins of its rays: the rule of the public RayIoU.
 
     SparseOcc (Liu et al. 2024; `EgoPoseDataset` in `loaders/ego_pose_dataset.py` of its repository) casts the rays of a

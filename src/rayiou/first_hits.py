@@ -14,10 +14,14 @@ from rayiou.raycast.trace import Hits
 
 
 def ray_hits(
-    labels: Shaped[Array, "X Y Z"], geometry: Cylinder | Cuboid, origins: Float[Array, "O 3"] | None = None,
-    directions: Float[Array, "D 3"] | None = None, num_classes: int = NUM_CLASSES, free_class: int = FREE,
+    labels: Shaped[Array, "X Y Z"],
+    geometry: Cylinder | Cuboid,
+    origins: Float[Array, "O 3"] | None = None,
+    directions: Float[Array, "D 3"] | None = None,
+    num_classes: int = NUM_CLASSES,
+    free_class: int = FREE,
     ignore_class: int = UNKNOWN,
-) -> Hits:  # fmt: skip
+) -> Hits:
     """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
 
     Args:

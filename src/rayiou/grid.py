@@ -114,8 +114,12 @@ class Grid(Lattice):
         return cast(self, labels, origins, directions)
 
     def trace(
-        self, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays, hit: Literal["exit", "entry"] = "exit",
-    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:  # fmt: skip
+        self,
+        labels: UInt8[Tensor, "X Y Z"],
+        origins: Rays,
+        directions: Rays,
+        hit: Literal["exit", "entry"] = "exit",
+    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
         """Return range (m) and class of the first cell along each ray that is not free (0); unknown (255) is not free.
 
         Args:

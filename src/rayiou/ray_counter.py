@@ -51,9 +51,13 @@ class RayTruth(NamedTuple):
 
 
 def tensors_of(
-    device: torch.device | str, preds: Array, target: Array | RayTruth, origins: Array | None, observed: Array | None,
+    device: torch.device | str,
+    preds: Array,
+    target: Array | RayTruth,
+    origins: Array | None,
+    observed: Array | None,
     origin_times: Array | None,
-) -> tuple[Any, ...]:  # fmt: skip
+) -> tuple[Any, ...]:
     """Return the arguments of `RayCounter.count` as tensors; numpy arrays are copied to the device.
 
     Raises:
@@ -81,11 +85,18 @@ class RayCounter:
     """
 
     def __init__(
-        self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
-        range_edges_m: Sequence[float | int] | None, directions: Float[Array, "D 3"] | None,
-        target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
-        split_origins: bool = False, fine_thresholds_m: Sequence[float | int] = (),
-    ):  # fmt: skip
+        self,
+        geometry: Cylinder | Cuboid,
+        classes: ClassIds,
+        thresholds_m: Sequence[float | int],
+        range_edges_m: Sequence[float | int] | None,
+        directions: Float[Array, "D 3"] | None,
+        target_geometry: Cylinder | Cuboid | None,
+        hit: Literal["exit", "entry"],
+        count_free_rays: bool,
+        split_origins: bool = False,
+        fine_thresholds_m: Sequence[float | int] = (),
+    ):
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
@@ -109,10 +120,13 @@ class RayCounter:
         return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.counted_m), 1))
 
     def count(
-        self, preds: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
-        origins: Float[Tensor, "*origins 3"] | None = None, observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
+        self,
+        preds: Shaped[Tensor, "B *grid"],
+        target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
+        origins: Float[Tensor, "*origins 3"] | None = None,
+        observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
         origin_times: Shaped[Tensor, "*times"] | None = None,
-    ) -> RayCounts:  # fmt: skip
+    ) -> RayCounts:
         """Return the summed counts of a batch; arguments as in `RayIoU.update`.
 
         Raises:
@@ -160,13 +174,15 @@ class RayCounter:
 
     def protocol(self, seen: RaysSeen) -> str:
         """Return how rays of what was `seen` are counted, in one line."""
-        return "; ".join((
-            rays_text(len(self.scan), self.public_rays, seen),
-            error_text(self.thresholds_m, self.fine_m, self.hit, seen),
-            dropped_text(self.classes, self.count_free_rays, seen.masked),
-            mean_text(self.classes),
-            *free_text(seen),
-        ))  # fmt: skip
+        return "; ".join(
+            (
+                rays_text(len(self.scan), self.public_rays, seen),
+                error_text(self.thresholds_m, self.fine_m, self.hit, seen),
+                dropped_text(self.classes, self.count_free_rays, seen.masked),
+                mean_text(self.classes),
+                *free_text(seen),
+            )
+        )
 
     def setting(self) -> UInt8[Tensor, "16"]:
         """Return a hash of all that decides what is counted: metrics with equal ones may share their counts."""
@@ -263,9 +279,13 @@ class RayCounter:
         return self._count(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid, times)
 
     def _count_rays(
-        self, preds: Tensor, range_m: Tensor, labels: Tensor, origins: Float[Tensor, "O 3"],
+        self,
+        preds: Tensor,
+        range_m: Tensor,
+        labels: Tensor,
+        origins: Float[Tensor, "O 3"],
         times: Int64[Tensor, " O"] | None,
-    ) -> RayCounts:  # fmt: skip
+    ) -> RayCounts:
         table = ray_table(self.geometry, origins, self.scan)
         found = self._cast(table, preds)[0]
         range_m, labels = range_m.double(), labels.to(torch.uint8)
@@ -294,9 +314,14 @@ class RayCounter:
         return clear_m.isfinite() & ((found.labels == self.classes.free) | (found.entry_m < clear_m))
 
     def _count(
-        self, true_labels: Tensor, true_m: Tensor, labels: Tensor, error_m: Tensor, valid: Tensor,
+        self,
+        true_labels: Tensor,
+        true_m: Tensor,
+        labels: Tensor,
+        error_m: Tensor,
+        valid: Tensor,
         times: Int64[Tensor, " O"] | None,
-    ) -> RayCounts:  # fmt: skip
+    ) -> RayCounts:
         """Return the counts of all rays from the first origin, then from the next; `times` has the kind of each."""
         valid = valid & (true_labels != self.classes.ignored)
         if times is not None:

@@ -31,10 +31,16 @@ class RayCounts(NamedTuple):
 
 
 def count_rays(
-    true_labels: UInt8[Tensor, " R"], true_m: Float[Tensor, " R"], predicted_labels: UInt8[Tensor, " R"],
-    error_m: Float[Tensor, " R"], valid: Bool[Tensor, " R"], num_classes: int, thresholds_m: Sequence[float],
-    range_edges_m: Sequence[float], times: Int64[Tensor, " R"] | None = None,
-) -> RayCounts:  # fmt: skip
+    true_labels: UInt8[Tensor, " R"],
+    true_m: Float[Tensor, " R"],
+    predicted_labels: UInt8[Tensor, " R"],
+    error_m: Float[Tensor, " R"],
+    valid: Bool[Tensor, " R"],
+    num_classes: int,
+    thresholds_m: Sequence[float],
+    range_edges_m: Sequence[float],
+    times: Int64[Tensor, " R"] | None = None,
+) -> RayCounts:
     """Return the counts of the rays that are `valid`.
 
     A ray's true distance decides its band, [lower, upper). It is correct if true and predicted class (free for no hit)

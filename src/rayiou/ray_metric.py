@@ -103,9 +103,17 @@ class RayIoU(CountMetric):
         super().__init__(**kwargs)
         classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.counter = RayCounter(
-            geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
-            split_origins, fine_thresholds_m,
-        )  # fmt: skip
+            geometry,
+            classes,
+            thresholds_m,
+            range_edges_m,
+            directions,
+            target_geometry,
+            hit,
+            count_free_rays,
+            split_origins,
+            fine_thresholds_m,
+        )
         self.add_setting(self.counter.setting())
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
@@ -297,7 +305,15 @@ def ray_iou(
     """
     classes = ClassIds(num_classes, free_class, ignore_class, class_names)
     counter = RayCounter(
-        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
-        split_origins, fine_thresholds_m,
-    )  # fmt: skip
+        geometry,
+        classes,
+        thresholds_m,
+        range_edges_m,
+        directions,
+        target_geometry,
+        hit,
+        count_free_rays,
+        split_origins,
+        fine_thresholds_m,
+    )
     return counter.scores(counter.count(*tensors_of("cpu", preds, target, origins, observed, origin_times)))

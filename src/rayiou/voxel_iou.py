@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 
 
 def voxel_confusion(
-    prediction: UInt8[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"], counted: Bool[Tensor, "B X Y Z"],
-    num_classes: int, weights: Float64[Tensor, "X Y Z"] | None = None,
-) -> Float64[Tensor, "C C"]:  # fmt: skip
+    prediction: UInt8[Tensor, "B X Y Z"],
+    target: UInt8[Tensor, "B X Y Z"],
+    counted: Bool[Tensor, "B X Y Z"],
+    num_classes: int,
+    weights: Float64[Tensor, "X Y Z"] | None = None,
+) -> Float64[Tensor, "C C"]:
     """Return the sums of counted voxels, or of their weights, by true (row) and predicted (column) class."""
     keys = target[counted].long() * num_classes + prediction[counted]
     weights = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]
@@ -82,10 +85,14 @@ class VoxelIoU(CountMetric):
     masked: Tensor
 
     def __init__(
-        self, num_classes: int = NUM_CLASSES, free_class: int = FREE, ignore_class: int = UNKNOWN,
-        geometry: Cylinder | Cuboid | None = None, class_names: Sequence[str] | None = None,
+        self,
+        num_classes: int = NUM_CLASSES,
+        free_class: int = FREE,
+        ignore_class: int = UNKNOWN,
+        geometry: Cylinder | Cuboid | None = None,
+        class_names: Sequence[str] | None = None,
         **kwargs: Any,
-    ):  # fmt: skip
+    ):
         super().__init__(**kwargs)
         self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         if geometry is not None:
@@ -97,9 +104,11 @@ class VoxelIoU(CountMetric):
 
     @renamed({"prediction": "preds"})
     def update(
-        self, preds: Shaped[Array, "B X Y Z"], target: Shaped[Array, "Bt Xt Yt Zt"],
+        self,
+        preds: Shaped[Array, "B X Y Z"],
+        target: Shaped[Array, "Bt Xt Yt Zt"],
         observed: Bool[Array, "Bt Xt Yt Zt"] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add predicted and true class ids of a batch.
 
         Args:

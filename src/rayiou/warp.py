@@ -32,9 +32,11 @@ def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
 
 
 def trilinear(
-    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]], shape: tuple[int, int, int],
-    periodic: tuple[bool, bool, bool], dtype: torch.dtype,
-) -> Corners:  # fmt: skip
+    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]],
+    shape: tuple[int, int, int],
+    periodic: tuple[bool, bool, bool],
+    dtype: torch.dtype,
+) -> Corners:
     """Return the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
     `position` is along each axis in units of cells (`Grid.coordinates`; float64 keeps the identity pose exact).

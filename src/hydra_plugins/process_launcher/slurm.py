@@ -58,10 +58,23 @@ class SlurmLauncher(Launcher):
     """
 
     def __init__(
-        self, nodes: int, tasks_per_node: int, gpus_per_node: int | None, cpus_per_task: int, mem_gb: float | None,
-        timeout_min: int, signal_delay_s: int, requeues: int, array_parallelism: int, partition: str | None,
-        account: str | None, qos: str | None, constraint: str | None, setup: Sequence[str], sbatch: Mapping[str, Any],
-    ):  # fmt: skip
+        self,
+        nodes: int,
+        tasks_per_node: int,
+        gpus_per_node: int | None,
+        cpus_per_task: int,
+        mem_gb: float | None,
+        timeout_min: int,
+        signal_delay_s: int,
+        requeues: int,
+        array_parallelism: int,
+        partition: str | None,
+        account: str | None,
+        qos: str | None,
+        constraint: str | None,
+        setup: Sequence[str],
+        sbatch: Mapping[str, Any],
+    ):
         for name, value in (("nodes", nodes), ("tasks_per_node", tasks_per_node), ("timeout_min", timeout_min)):
             if value < 1:
                 raise ValueError(f"{name}={value}: give 1 or more")
@@ -69,11 +82,16 @@ class SlurmLauncher(Launcher):
         asked = {"slurm_partition": partition, "slurm_account": account, "slurm_qos": qos}
         asked |= {"slurm_constraint": constraint, "gpus_per_node": gpus_per_node, "mem_gb": mem_gb}
         self.parameters = {key: value for key, value in asked.items() if value is not None} | {
-            "nodes": nodes, "tasks_per_node": tasks_per_node, "cpus_per_task": cpus_per_task,
-            "timeout_min": timeout_min, "slurm_signal_delay_s": signal_delay_s, "stderr_to_stdout": True,
-            "slurm_array_parallelism": array_parallelism, "slurm_setup": list(setup),
+            "nodes": nodes,
+            "tasks_per_node": tasks_per_node,
+            "cpus_per_task": cpus_per_task,
+            "timeout_min": timeout_min,
+            "slurm_signal_delay_s": signal_delay_s,
+            "stderr_to_stdout": True,
+            "slurm_array_parallelism": array_parallelism,
+            "slurm_setup": list(setup),
             "slurm_additional_parameters": dict(sbatch),
-        }  # fmt: skip
+        }
         self.folder, self.name = Path(), ""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:

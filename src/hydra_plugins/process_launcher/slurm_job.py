@@ -46,9 +46,13 @@ class SlurmJob:
         requeue = signal.signal(STOP, self._note)
         with log_of(self.log, task).open("ab") as output:
             child = subprocess.Popen(
-                self.command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env={**os.environ, **self.environment}, preexec_fn=_ignore_stop,
-            )  # fmt: skip
+                self.command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **self.environment},
+                preexec_fn=_ignore_stop,
+            )
         code = self._wait(child)
         if self.signalled_s is not None and code != 0 and callable(requeue):
             code = self._queue_again(requeue, task)

@@ -15,6 +15,17 @@ from omniocc.camera.protocol import Camera
 from omniocc.camera.rig import Rig
 
 __all__ = [
-    "EUCM", "MEI", "Camera", "DoubleSphere", "Equidistant", "Equirectangular", "KannalaBrandt", "OCam", "Panoramic",
-    "Pinhole", "RadialPolynomial", "Rig", "normalize_pixels",
-]  # fmt: skip
+    "EUCM",
+    "MEI",
+    "Camera",
+    "DoubleSphere",
+    "Equidistant",
+    "Equirectangular",
+    "KannalaBrandt",
+    "OCam",
+    "Panoramic",
+    "Pinhole",
+    "RadialPolynomial",
+    "Rig",
+    "normalize_pixels",
+]

@@ -7,10 +7,17 @@ from jaxtyping import Bool, Float, Float32, Int64
 
 MARGIN_PX = 1
 """Pixels beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with."""
-FACES = np.array([
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-], dtype=np.float64)  # fmt: skip
+FACES = np.array(
+    [
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    ],
+    dtype=np.float64,
+)
 """Columns: a face's right, down and forward in the frame of the cube (x right, y down, z forward); front, right, left,
 down, up, back."""
 

@@ -51,10 +51,16 @@ from omniocc.errors import shown
 from omniocc.io import atomic_write, checked_name, read_short_text
 
 MODELS = {
-    "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
-    "double_sphere": DoubleSphere, "eucm": EUCM, "radial_polynomial": RadialPolynomial,
+    "equidistant": Equidistant,
+    "pinhole": Pinhole,
+    "kannala_brandt": KannalaBrandt,
+    "mei": MEI,
+    "ocam": OCam,
+    "double_sphere": DoubleSphere,
+    "eucm": EUCM,
+    "radial_polynomial": RadialPolynomial,
     "panoramic": Panoramic,
-}  # fmt: skip
+}
 BUILT_IN = Path(__file__).parent / "rigs"
 MAX_CAMERAS = 100
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")

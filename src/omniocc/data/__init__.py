@@ -15,9 +15,21 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
-    "Appearance", "Augment", "CandidateCache", "DataError", "EvidenceCache", "Needs", "OccupancyData", "RangeCache",
-    "Recorded", "SceneReader", "SceneSource", "SourceSpec", "WindowDataset", "collate",
-]  # fmt: skip
+    "Appearance",
+    "Augment",
+    "CandidateCache",
+    "DataError",
+    "EvidenceCache",
+    "Needs",
+    "OccupancyData",
+    "RangeCache",
+    "Recorded",
+    "SceneReader",
+    "SceneSource",
+    "SourceSpec",
+    "WindowDataset",
+    "collate",
+]
 
 
 def __getattr__(name: str) -> Any:

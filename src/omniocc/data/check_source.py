@@ -106,13 +106,18 @@ def check_scene(scene: SceneFrames, expected: Expected, frames: int) -> tuple[li
 def check_frame(scene: SceneFrames, expected: Expected, frame: int) -> tuple[list[str], Tensor | None]:
     """Return the problems of one frame, and its voxels: everything that a batch could ask for is read."""
     parts: dict[str, Callable[[int], Any]] = {
-        "images": partial(_images, scene), "pixels": scene.pixel_labels, "camera ranges": scene.camera_range_m,
-        "panorama": scene.erp_range_m, "LiDAR": scene.lidar, "points": scene.points,
-    }  # fmt: skip
+        "images": partial(_images, scene),
+        "pixels": scene.pixel_labels,
+        "camera ranges": scene.camera_range_m,
+        "panorama": scene.erp_range_m,
+        "LiDAR": scene.lidar,
+        "points": scene.points,
+    }
     if has_labels(scene):
         parts |= {
-            "voxels": partial(expected.labels.read, scene), "benchmark": partial(expected.labels.benchmark, scene),
-        }  # fmt: skip
+            "voxels": partial(expected.labels.read, scene),
+            "benchmark": partial(expected.labels.benchmark, scene),
+        }
     problems, found = [], {}
     for name, part in parts.items():
         try:

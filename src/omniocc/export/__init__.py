@@ -5,5 +5,11 @@ from omniocc.export.files import export_files
 from omniocc.export.program import Frame, Step, example_inputs, export_program, make_module
 
 __all__ = [
-    "Frame", "Step", "contract_of", "example_inputs", "export_files", "export_program", "make_module",
-]  # fmt: skip
+    "Frame",
+    "Step",
+    "contract_of",
+    "example_inputs",
+    "export_files",
+    "export_program",
+    "make_module",
+]

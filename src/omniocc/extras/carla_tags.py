@@ -13,16 +13,34 @@ from omniocc.classes import UNKNOWN, WORLD_CLASSES
 from omniocc.errors import UserError
 
 NEW = {
-    "Free": (11,), "Road": (1,), "Sidewalk": (2,), "Ground": (10, 25), "Building": (3,), "Wall": (4, 5, 28),
-    "Vegetation": (9,), "Vehicle": (14, 15, 16, 17, 18, 19), "Other": (20, 21, 22, 23, 26, 27, 29), "Pole": (6, 7, 8),
-    "Pedestrian": (12, 13), "Roadline": (24,),
-}  # fmt: skip
+    "Free": (11,),
+    "Road": (1,),
+    "Sidewalk": (2,),
+    "Ground": (10, 25),
+    "Building": (3,),
+    "Wall": (4, 5, 28),
+    "Vegetation": (9,),
+    "Vehicle": (14, 15, 16, 17, 18, 19),
+    "Other": (20, 21, 22, 23, 26, 27, 29),
+    "Pole": (6, 7, 8),
+    "Pedestrian": (12, 13),
+    "Roadline": (24,),
+}
 """Tags of 0.9.14 and later, 0.10 included; sky is free, riders are pedestrians."""
 OLD = {
-    "Free": (13,), "Road": (7,), "Sidewalk": (8,), "Ground": (14, 22), "Building": (1,), "Wall": (2, 11, 17),
-    "Vegetation": (9,), "Vehicle": (10,), "Other": (3, 15, 16, 19, 20, 21), "Pole": (5, 12, 18), "Pedestrian": (4,),
+    "Free": (13,),
+    "Road": (7,),
+    "Sidewalk": (8,),
+    "Ground": (14, 22),
+    "Building": (1,),
+    "Wall": (2, 11, 17),
+    "Vegetation": (9,),
+    "Vehicle": (10,),
+    "Other": (3, 15, 16, 19, 20, 21),
+    "Pole": (5, 12, 18),
+    "Pedestrian": (4,),
     "Roadline": (6,),
-}  # fmt: skip
+}
 """Tags of 0.9.13 and earlier."""
 NEW_SINCE = (0, 9, 14)
 ROAD, ROADLINE = (WORLD_CLASSES.names.index(name) for name in ("Road", "Roadline"))

@@ -69,10 +69,14 @@ class Total(nn.Module):
     """
 
     def __init__(
-        self, voxel: Mapping[str, nn.Module], pixel: Mapping[str, nn.Module], weights: Mapping[str, float],
-        ray: Mapping[str, nn.Module] | None = None, run: Mapping[str, nn.Module] | None = None,
+        self,
+        voxel: Mapping[str, nn.Module],
+        pixel: Mapping[str, nn.Module],
+        weights: Mapping[str, float],
+        ray: Mapping[str, nn.Module] | None = None,
+        run: Mapping[str, nn.Module] | None = None,
         coarse: Mapping[str, nn.Module] | None = None,
-    ):  # fmt: skip
+    ):
         super().__init__()
         ray, run, coarse = ray or {}, run or {}, coarse or {}
         names = [*voxel, *pixel, *ray, *run, *coarse]
@@ -92,9 +96,12 @@ class Total(nn.Module):
                 loss.set_class_counts(counts)
 
     def forward(
-        self, prediction: HasLogits, voxels: UInt8[Tensor, "B X Y Z"] | None,
-        pixel_labels: UInt8[Tensor, "B N H W"] | None, camera_range_m: Float[Tensor, "B N H W"] | None = None,
-    ) -> dict[str, Float32[Tensor, ""]]:  # fmt: skip
+        self,
+        prediction: HasLogits,
+        voxels: UInt8[Tensor, "B X Y Z"] | None,
+        pixel_labels: UInt8[Tensor, "B N H W"] | None,
+        camera_range_m: Float[Tensor, "B N H W"] | None = None,
+    ) -> dict[str, Float32[Tensor, ""]]:
         """Return weighted scalar terms by name; labels that are absent (None) give no terms.
 
         Unknown labels are 255, unknown ranges (m) nan. `pixel_labels` are used only if the model predicts pixels, and

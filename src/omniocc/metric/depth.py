@@ -37,9 +37,12 @@ def sphere_index(
 
 
 def depth_sums(
-    preds: Float64[Tensor, " R"], target: Float64[Tensor, " R"], nearest_m: float, farthest_m: float,
+    preds: Float64[Tensor, " R"],
+    target: Float64[Tensor, " R"],
+    nearest_m: float,
+    farthest_m: float,
     spheres: int,
-) -> Float64[Tensor, "R sums"]:  # fmt: skip
+) -> Float64[Tensor, "R sums"]:
     """Return the errors of every ray (predicted and true range, m), in the order of `NAMES`."""
     error_m = (preds - target).abs()
     ratio = torch.maximum(preds / target, target / preds)
@@ -93,9 +96,13 @@ class DepthMetrics(CountMetric):
     count: Tensor
 
     def __init__(
-        self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
-        range_edges_m: Sequence[float | int] | None = None, **kwargs: Any,
-    ):  # fmt: skip
+        self,
+        nearest_m: float = 0.5,
+        farthest_m: float = float("inf"),
+        spheres: int = 192,
+        range_edges_m: Sequence[float | int] | None = None,
+        **kwargs: Any,
+    ):
         super().__init__(**kwargs)
         check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
         if nearest_m <= 0 or spheres < 2:

@@ -8,6 +8,20 @@ from omniocc.predict.trained import PredictedRanges, PredictedVoxels, Trained, l
 from omniocc.predict.training_data import TrainingData
 
 __all__ = [
-    "Frame", "PointCloud", "PredictedRanges", "PredictedVoxels", "Prediction", "Predictor", "Trained", "TrainingData",
-    "find_frames", "load", "point_cloud", "predict_depth", "read_frame", "resized_to_width", "write_depth", "write_ply",
-]  # fmt: skip
+    "Frame",
+    "PointCloud",
+    "PredictedRanges",
+    "PredictedVoxels",
+    "Prediction",
+    "Predictor",
+    "Trained",
+    "TrainingData",
+    "find_frames",
+    "load",
+    "point_cloud",
+    "predict_depth",
+    "read_frame",
+    "resized_to_width",
+    "write_depth",
+    "write_ply",
+]

@@ -66,9 +66,14 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
 
 
 def predict_frame(
-    cfg: DictConfig, frame: Frame, rig: Rig, model: nn.Module, image_width: int | None, device: torch.device,
+    cfg: DictConfig,
+    frame: Frame,
+    rig: Rig,
+    model: nn.Module,
+    image_width: int | None,
+    device: torch.device,
     show: ShowRanges | None,
-) -> str:  # fmt: skip
+) -> str:
     """Predict one frame, write its files, show it, and return a line about it."""
     folder = Path(cfg.output) / frame.name
     watch = Stopwatch(device, ("read", "depth", "write"))

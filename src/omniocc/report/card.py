@@ -9,9 +9,12 @@ BANDS = ("0-8.5m", "8.5-17m", "17-25.6m")
 
 
 def card(
-    name: str, purpose: Mapping[str, str], facts: Mapping[str, Any], metrics: Mapping[str, float],
+    name: str,
+    purpose: Mapping[str, str],
+    facts: Mapping[str, Any],
+    metrics: Mapping[str, float],
     on_frames: Mapping[str, float],
-) -> str:  # fmt: skip
+) -> str:
     """Return the card as Markdown.
 
     Args:

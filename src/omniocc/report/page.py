@@ -24,9 +24,12 @@ Section = dict[str, Any]
 
 
 def page(
-    sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path,
+    sweep: Sweep,
+    plots: Mapping[str, tuple[str, str]],
+    frames: Sequence[ComparedFrame],
+    folder: Path,
     others: Mapping[str, Path],
-) -> str:  # fmt: skip
+) -> str:
     """Return the whole page, with links to runs and to the pages of other settings from its `folder`.
 
     `plots` has title and SVG of each plot by name.

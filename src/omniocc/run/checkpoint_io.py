@@ -14,8 +14,15 @@ from omniocc.io import atomic_write, remove_leftovers
 from omniocc.run.weights import BEST, LAST, shipped
 
 UNREADABLE = (
-    zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError, MemoryError
-)  # fmt: skip
+    zipfile.BadZipFile,
+    pickle.UnpicklingError,
+    RuntimeError,
+    OSError,
+    EOFError,
+    LookupError,
+    ValueError,
+    MemoryError,
+)
 """Errors of `zipfile` and `torch.load` for files that are damaged or of another kind."""
 
 

@@ -22,9 +22,12 @@ Counted = dict[str, Lines]
 
 
 def save_scenes(
-    folder: Path, counted: Mapping[str, Counted], conditions: Mapping[str, Mapping[str, str]], classes: Sequence[str],
+    folder: Path,
+    counted: Mapping[str, Counted],
+    conditions: Mapping[str, Mapping[str, str]],
+    classes: Sequence[str],
     thresholds_m: Sequence[float],
-) -> None:  # fmt: skip
+) -> None:
     """Write the counts of every scene, a line each, with its conditions (weather, place).
 
     Args:
@@ -128,15 +131,17 @@ def _of_moving(content: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _recalls(name: str, lines: torch.Tensor, classes: Mapping[int, str]) -> dict[str, float]:
-    return _with_mean(f"test/{name}/recall", {
-        title: float(lines[2:, k].double().mean() / lines[0, k]) for k, title in classes.items() if lines[0, k] > 0
-    })  # fmt: skip
+    return _with_mean(
+        f"test/{name}/recall",
+        {title: float(lines[2:, k].double().mean() / lines[0, k]) for k, title in classes.items() if lines[0, k] > 0},
+    )
 
 
 def _false_alarms(lines: torch.Tensor, classes: Mapping[int, str]) -> dict[str, float]:
-    return _with_mean("test/false_alarms", {
-        title: float((lines[1, k] - lines[2:, k].max()) / lines[0, k]) for k, title in classes.items()
-    })  # fmt: skip
+    return _with_mean(
+        "test/false_alarms",
+        {title: float((lines[1, k] - lines[2:, k].max()) / lines[0, k]) for k, title in classes.items()},
+    )
 
 
 def _with_mean(key: str, by_class: Mapping[str, float]) -> dict[str, float]:

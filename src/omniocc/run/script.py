@@ -11,7 +11,6 @@ from argparse import Action, ArgumentParser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
-from unittest.mock import patch
 
 import cv2
 import hydra
@@ -117,8 +116,11 @@ def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
             if isinstance(action.help, str):
                 check(parser, action)
 
-        with patch.object(ArgumentParser, "_check_help", check_strings):
+        ArgumentParser._check_help = check_strings  # type: ignore[attr-defined]
+        try:
             return main(*args, **kwargs)
+        finally:
+            ArgumentParser._check_help = check  # type: ignore[attr-defined]
 
     return run
 

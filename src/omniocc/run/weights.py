@@ -50,9 +50,13 @@ def digest_of(weights: Mapping[str, Tensor]) -> str:
 
 
 def pack_weights(
-    path: Path, stage: str, config: Mapping[str, Any], weights: Mapping[str, Tensor], facts: Mapping[str, Any],
+    path: Path,
+    stage: str,
+    config: Mapping[str, Any],
+    weights: Mapping[str, Tensor],
+    facts: Mapping[str, Any],
     half: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """Write weights, the configuration that builds their model, and facts about their training to one file.
 
     With `half` floating values are kept in 16 bits; reading them gives 32 again.

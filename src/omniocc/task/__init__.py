@@ -10,5 +10,13 @@ from omniocc.task.sketch import SketchTask
 from omniocc.task.stage_task import Recipe
 
 __all__ = [
-    "AdamW", "DepthTask", "Muon", "OccupancyTask", "Recipe", "Scores", "SketchTask", "StepProgress", "TrainingTime",
-]  # fmt: skip
+    "AdamW",
+    "DepthTask",
+    "Muon",
+    "OccupancyTask",
+    "Recipe",
+    "Scores",
+    "SketchTask",
+    "StepProgress",
+    "TrainingTime",
+]

@@ -9,6 +9,14 @@ from omniocc.view.sketch import sketch_sheet
 from omniocc.view.voxels import render_voxels
 
 __all__ = [
-    "SheetParts", "bev", "comparison_parts", "comparison_sheet", "depth_sheet", "error_bev",
-    "predicted_sheet", "render_voxels", "save_png", "sketch_sheet",
-]  # fmt: skip
+    "SheetParts",
+    "bev",
+    "comparison_parts",
+    "comparison_sheet",
+    "depth_sheet",
+    "error_bev",
+    "predicted_sheet",
+    "render_voxels",
+    "save_png",
+    "sketch_sheet",
+]

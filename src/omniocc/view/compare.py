@@ -24,8 +24,13 @@ class SheetParts(NamedTuple):
 
 
 def comparison_parts(
-    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, width_px: int = 1280,
-) -> SheetParts:  # fmt: skip
+    images: np.ndarray,
+    truth: Labels,
+    prediction: Labels,
+    geometry: Grid,
+    classes: ClassTable,
+    width_px: int = 1280,
+) -> SheetParts:
     """Return the parts of a sheet of a width, px.
 
     `images` are (N, H, W, 3) uint8 RGB; six are those of the hexagon (0 front, then clockwise).

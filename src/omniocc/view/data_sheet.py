@@ -19,9 +19,16 @@ DOT_PX = 2
 
 
 def data_sheet(
-    images: Images, rig: Rig, camera_range_m: Sequence[np.ndarray] | None, panorama_range_m: np.ndarray | None,
-    labels: Labels | None, grid: Grid, classes: ClassTable, caption: str = "", width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
+    images: Images,
+    rig: Rig,
+    camera_range_m: Sequence[np.ndarray] | None,
+    panorama_range_m: np.ndarray | None,
+    labels: Labels | None,
+    grid: Grid,
+    classes: ClassTable,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
     """Return the sheet: known ranges as dots on the images, as a panorama, and the voxels from behind and above.
 
     What is None is left out. A wrong calibration shows as dots beside the things that they belong to.

@@ -14,9 +14,14 @@ COVER = 1.8
 
 
 def depth_sheet(
-    images: Images, rig: Rig, panorama: Equirectangular, predicted_m: Ranges, true_m: Ranges, caption: str = "",
+    images: Images,
+    rig: Rig,
+    panorama: Equirectangular,
+    predicted_m: Ranges,
+    true_m: Ranges,
+    caption: str = "",
     width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
     inner = inner_width(width_px)
     predicted, true = predicted_m.numpy(), true_m.numpy()

@@ -13,9 +13,15 @@ from omniocc.view.sheet import column_width, inner_width, panorama_row, row, sta
 
 
 def predicted_sheet(
-    images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, colors: UInt8[Tensor, "h w 3"],
-    caption: str = "", half_m: float = 12.0, width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
+    images: Images,
+    rig: Rig,
+    panorama: Equirectangular,
+    range_m: Ranges,
+    colors: UInt8[Tensor, "h w 3"],
+    caption: str = "",
+    half_m: float = 12.0,
+    width_px: int = 1280,
+) -> np.ndarray:
     """Return the sheet: ranges on the images, the images as one panorama at these ranges, ranges, points from above.
 
     `panorama` has the directions of the ranges, `colors` are the RGB of their points, `caption` is the line at the top.

@@ -22,9 +22,17 @@ KINDS: tuple[tuple[str, Rgb], ...] = (
 
 
 def sketch_sheet(
-    images: Images, truth: Labels, candidates: Bool[Tensor, "X Y Z"], dilated: Bool[Tensor, "X Y Z"], geometry: Grid,
-    classes: ClassTable, panorama: Equirectangular, range_m: Ranges, caption: str = "", width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
+    images: Images,
+    truth: Labels,
+    candidates: Bool[Tensor, "X Y Z"],
+    dilated: Bool[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: ClassTable,
+    panorama: Equirectangular,
+    range_m: Ranges,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
     """Return the sheet: cameras; true voxels beside the sketch's input points; candidates before and after dilation.
 
     `candidates` are before dilation; `panorama` has the directions of the ranges, `caption` is the line at the top.

@@ -37,9 +37,16 @@ class RangePanorama(NamedTuple):
 
 
 def occupancy_sheet(
-    images: Images, rig: Rig, prediction: Labels, geometry: Grid, classes: ClassTable,
-    ranges: RangePanorama | None = None, truth: Labels | None = None, caption: str = "", width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
+    images: Images,
+    rig: Rig,
+    prediction: Labels,
+    geometry: Grid,
+    classes: ClassTable,
+    ranges: RangePanorama | None = None,
+    truth: Labels | None = None,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
     """Return the sheet: voxels on the images, as a panorama, from behind and from above.
 
     `ranges` are None if the model predicts none, `truth` if none is available; `caption` is the line at the top.

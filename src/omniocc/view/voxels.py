@@ -44,10 +44,15 @@ class Faces(NamedTuple):
 
 
 def render_voxels(
-    labels: Labels, geometry: Grid, classes: ClassTable, width: int, height: int,
-    eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0), target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
+    labels: Labels,
+    geometry: Grid,
+    classes: ClassTable,
+    width: int,
+    height: int,
+    eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0),
+    target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return an image of the occupied cells in their class colours, with the ego car as a white box.
 
     Unknown cells are not drawn. The image has `width` x `height` px; `eye_m` is the viewpoint and `target_m` the point

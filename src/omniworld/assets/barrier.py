@@ -20,20 +20,24 @@ def brick_wall(rng: np.random.Generator) -> Mesh:
     height = float(rng.uniform(0.9, 2.1))
     wall = Skin(WALL, Material.BRICK, choice(rng, ((150, 84, 64), (172, 160, 140), (128, 96, 82))))
     coping = Skin(WALL, Material.CONCRETE, (160, 156, 148))
-    return concatenate([
-        panel((PIECE_M + 0.04, 0.24, height + 0.5), (0, 0, height / 2 - 0.25), wall, "frbl"),
-        box((PIECE_M + 0.06, 0.34, 0.1), (0, 0, height + 0.05), coping),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            panel((PIECE_M + 0.04, 0.24, height + 0.5), (0, 0, height / 2 - 0.25), wall, "frbl"),
+            box((PIECE_M + 0.06, 0.34, 0.1), (0, 0, height + 0.05), coping),
+        ]
+    )
 
 
 def concrete_wall(rng: np.random.Generator) -> Mesh:
     """Build a wall of precast panels between posts."""
     height = float(rng.uniform(1.8, 2.6))
     slab, post = Skin(WALL, Material.CONCRETE, (164, 162, 156)), Skin(WALL, Material.CONCRETE, (140, 138, 132))
-    return concatenate([
-        panel((PIECE_M + 0.04, 0.14, height + 0.5), (0, 0, height / 2 - 0.25), slab, "frbt"),
-        panel((0.24, 0.28, height + 0.6), (-PIECE_M / 2, 0, height / 2 - 0.2), post, "frblt"),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            panel((PIECE_M + 0.04, 0.14, height + 0.5), (0, 0, height / 2 - 0.25), slab, "frbt"),
+            panel((0.24, 0.28, height + 0.6), (-PIECE_M / 2, 0, height / 2 - 0.2), post, "frblt"),
+        ]
+    )
 
 
 def picket_fence(rng: np.random.Generator) -> Mesh:
@@ -51,10 +55,12 @@ def board_fence(rng: np.random.Generator) -> Mesh:
     """Build a closed wooden fence."""
     height = float(rng.uniform(1.5, 1.9))
     wood = Skin(WALL, Material.WOOD, choice(rng, ((140, 108, 78), (118, 94, 74), (150, 136, 116))))
-    return concatenate([
-        panel((PIECE_M + 0.02, 0.05, height + 0.2), (0, 0, height / 2 - 0.1), wood, "fbt"),
-        _post(0.12, height, wood),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            panel((PIECE_M + 0.02, 0.05, height + 0.2), (0, 0, height / 2 - 0.1), wood, "fbt"),
+            _post(0.12, height, wood),
+        ]
+    )
 
 
 def mesh_fence(rng: np.random.Generator) -> Mesh:
@@ -99,13 +105,22 @@ def median_rail(rng: np.random.Generator) -> Mesh:
 def hedge(rng: np.random.Generator) -> Mesh:
     """Build a clipped hedge 1 to 1.7 m high (class vegetation)."""
     height, width = float(rng.uniform(1.0, 1.7)), float(rng.uniform(0.6, 0.8))
-    return concatenate([
-        panel((PIECE_M + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), LEAVES, "frblt"),
-        blob(rng, (0.55 * PIECE_M, 0.42 * width, 0.16), (0, 0, height), LEAVES, 0.3, sides=8, rows=3),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            panel((PIECE_M + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), LEAVES, "frblt"),
+            blob(rng, (0.55 * PIECE_M, 0.42 * width, 0.16), (0, 0, height), LEAVES, 0.3, sides=8, rows=3),
+        ]
+    )
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "brick": brick_wall, "concrete": concrete_wall, "picket": picket_fence, "board": board_fence,
-    "mesh": mesh_fence, "rail": rail_fence, "guard": guard_rail, "median": median_rail, "hedge": hedge,
-}  # fmt: skip
+    "brick": brick_wall,
+    "concrete": concrete_wall,
+    "picket": picket_fence,
+    "board": board_fence,
+    "mesh": mesh_fence,
+    "rail": rail_fence,
+    "guard": guard_rail,
+    "median": median_rail,
+    "hedge": hedge,
+}

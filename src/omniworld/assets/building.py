@@ -22,8 +22,13 @@ _PLINTH_M = 1.6  # depth of foundations, so that no gap shows on slopes
 _TRIM = Skin(BUILDING, Material.CONCRETE, (176, 172, 164))
 _DARK_GLASS = Skin(BUILDING, Material.GLASS, (58, 72, 84))
 _SHEET_COLORS: tuple[Color, ...] = (
-    (188, 190, 190), (140, 150, 160), (170, 160, 140), (120, 140, 150), (150, 84, 66), (206, 200, 186)
-)  # fmt: skip
+    (188, 190, 190),
+    (140, 150, 160),
+    (170, 160, 140),
+    (120, 140, 150),
+    (150, 84, 66),
+    (206, 200, 186),
+)
 _DOOR = Skin(BUILDING, Material.WOOD, (92, 60, 44))
 
 
@@ -141,15 +146,17 @@ def college(rng: np.random.Generator) -> Mesh:
     stone = Skin(BUILDING, Material.CONCRETE, (206, 200, 188))
     porch = float(rng.uniform(9, 14))
     columns = np.linspace(-porch / 2, porch / 2, int(porch // 2.4) + 1)
-    return concatenate([
-        _plinth(width, depth),
-        _block(width, depth, 0, height, _FACE, _FLAT),
-        box((width + 0.7, depth + 0.7, 0.5), (0, depth / 2, height + 0.2), stone, _FLAT),
-        box((porch + 1.2, 3.2, 0.5), (0, -1.5, STOREY_M + 0.7), stone),
-        box((porch + 1.6, 4.0, 0.6), (0, -1.8, -0.15), stone),
-        *(lathe([0.3, 0.26], [0.1, STOREY_M + 0.5], 8, stone, (float(x), -2.7)) for x in columns),
-        box((3.0, 0.1, 2.8), (0, -0.04, 1.5), _DARK_GLASS),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            _plinth(width, depth),
+            _block(width, depth, 0, height, _FACE, _FLAT),
+            box((width + 0.7, depth + 0.7, 0.5), (0, depth / 2, height + 0.2), stone, _FLAT),
+            box((porch + 1.2, 3.2, 0.5), (0, -1.5, STOREY_M + 0.7), stone),
+            box((porch + 1.6, 4.0, 0.6), (0, -1.8, -0.15), stone),
+            *(lathe([0.3, 0.26], [0.1, STOREY_M + 0.5], 8, stone, (float(x), -2.7)) for x in columns),
+            box((3.0, 0.1, 2.8), (0, -0.04, 1.5), _DARK_GLASS),
+        ]
+    )
 
 
 def church(rng: np.random.Generator) -> Mesh:
@@ -238,9 +245,15 @@ def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mes
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "tower": tower, "row": row, "house": house, "garage": garage, "hall": hall, "barn": barn, "college": college,
+    "tower": tower,
+    "row": row,
+    "house": house,
+    "garage": garage,
+    "hall": hall,
+    "barn": barn,
+    "college": college,
     "church": church,
-}  # fmt: skip
+}
 
 
 def footprint_m(mesh: Mesh) -> tuple[float, float]:

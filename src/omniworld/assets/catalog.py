@@ -10,10 +10,14 @@ from omniworld.mesh.mesh import Mesh
 from omniworld.mesh.shape import Number
 
 _GROUPS = {  # builders by kind, and how many variants of each kind there are
-    "tree": (tree.KINDS, 8), "barrier": (barrier.KINDS, 4), "pole": (pole.KINDS, 8), "vehicle": (vehicle.KINDS, 6),
-    "building": (building.KINDS, 12), "prop": ({kind: made.make for kind, made in prop.KINDS.items()}, 5),
+    "tree": (tree.KINDS, 8),
+    "barrier": (barrier.KINDS, 4),
+    "pole": (pole.KINDS, 8),
+    "vehicle": (vehicle.KINDS, 6),
+    "building": (building.KINDS, 12),
+    "prop": ({kind: made.make for kind, made in prop.KINDS.items()}, 5),
     "solid": (solid.KINDS, 16),
-}  # fmt: skip
+}
 _PEOPLE = 16
 
 

@@ -28,8 +28,12 @@ def park_lamp(rng: np.random.Generator) -> Mesh:
     """Build a low post with a globe."""
     height = float(rng.uniform(3.2, 4.2))
     post = lathe([0.12, 0.12, 0.06, 0.05], [-0.3, 0.4, 0.45, height], 5, _DARK)
-    globe = lathe([0.05, 0.22, 0.26, 0.2, 0], [height, height + 0.08, height + 0.25, height + 0.42, height + 0.48], 6,
-                  Skin(POLE, Material.LAMP, (250, 240, 214)))  # fmt: skip
+    globe = lathe(
+        [0.05, 0.22, 0.26, 0.2, 0],
+        [height, height + 0.08, height + 0.25, height + 0.42, height + 0.48],
+        6,
+        Skin(POLE, Material.LAMP, (250, 240, 214)),
+    )
     return concatenate([post, globe])
 
 
@@ -65,8 +69,10 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     """Build a post with a head on it and one on an arm along -y, facing +x, all lamps dark (see `lit_lamps`)."""
     shade = int(rng.integers(38, 60))
     dark = Skin(POLE, Material.METAL, (shade, shade + 4, shade + 6))
-    parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, _LIGHT_M, _LIGHT_M], 6, dark),
-             beam((0, 0, _LIGHT_M - 0.1), (0, -_ARM_M, _LIGHT_M), 0.05, dark)]  # fmt: skip
+    parts = [
+        lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, _LIGHT_M, _LIGHT_M], 6, dark),
+        beam((0, 0, _LIGHT_M - 0.1), (0, -_ARM_M, _LIGHT_M), 0.05, dark),
+    ]
     parts += [box((0.24, 0.3, 0.9), (0.18 * (y == 0), y, z), dark) for y, z in _HEADS]
     for k, color in enumerate(SIGNALS):
         parts += _lamps(k, Skin(POLE, Material.SIGN, (color[0] // 4, color[1] // 4, color[2] // 4)), 0.14)
@@ -98,5 +104,9 @@ def utility_pole(rng: np.random.Generator) -> Mesh:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "street": street_lamp, "park": park_lamp, "utility": utility_pole, "sign": sign, "light": traffic_light,
-}  # fmt: skip
+    "street": street_lamp,
+    "park": park_lamp,
+    "utility": utility_pole,
+    "sign": sign,
+    "light": traffic_light,
+}

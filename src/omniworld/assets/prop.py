@@ -134,8 +134,16 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {
-    "bench": Kind(bench, (2.0, 0.7)), "bin": Kind(bin_, (0.7, 0.7)), "hydrant": Kind(hydrant, (0.5, 0.5)),
-    "shelter": Kind(shelter, (4.4, 1.5)), "kiosk": Kind(kiosk, (2.8, 2.0)), "box": Kind(cabinet, (1.4, 0.6)),
-    "bollards": Kind(bollards, (2.8, 0.4)), "planter": Kind(planter, (1.5, 0.8)), "crates": Kind(crates, (1.9, 0.9)),
-    "pallets": Kind(pallets, (1.3, 0.9)), "bales": Kind(bales, (1.3, 1.0)), "post": Kind(post_box, (0.4, 0.6)),
-}  # fmt: skip
+    "bench": Kind(bench, (2.0, 0.7)),
+    "bin": Kind(bin_, (0.7, 0.7)),
+    "hydrant": Kind(hydrant, (0.5, 0.5)),
+    "shelter": Kind(shelter, (4.4, 1.5)),
+    "kiosk": Kind(kiosk, (2.8, 2.0)),
+    "box": Kind(cabinet, (1.4, 0.6)),
+    "bollards": Kind(bollards, (2.8, 0.4)),
+    "planter": Kind(planter, (1.5, 0.8)),
+    "crates": Kind(crates, (1.9, 0.9)),
+    "pallets": Kind(pallets, (1.3, 0.9)),
+    "bales": Kind(bales, (1.3, 1.0)),
+    "post": Kind(post_box, (0.4, 0.6)),
+}

@@ -72,5 +72,9 @@ def bar(rng: np.random.Generator) -> Mesh:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "block": block, "slab": slab, "ball": ball, "turned": turned, "bar": bar,
-}  # fmt: skip
+    "block": block,
+    "slab": slab,
+    "ball": ball,
+    "turned": turned,
+    "bar": bar,
+}

@@ -13,8 +13,13 @@ LEAVES = Skin(VEGETATION, Material.LEAVES, (80, 112, 52))
 _BARK = Skin(VEGETATION, Material.BARK, (94, 76, 58))
 _BIRCH = Skin(VEGETATION, Material.BARK, (198, 194, 184))
 LEAF_COLORS: tuple[Color, ...] = (
-    (72, 104, 46), (92, 120, 52), (60, 92, 50), (110, 126, 58), (84, 104, 66), (122, 130, 58),
-)  # fmt: skip
+    (72, 104, 46),
+    (92, 120, 52),
+    (60, 92, 50),
+    (110, 126, 58),
+    (84, 104, 66),
+    (122, 130, 58),
+)
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:
@@ -98,6 +103,11 @@ def _crown(height_m: Number, radius_m: Number, stem_m: Number) -> tuple[Triple, 
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "round": round_tree, "tall": tall_tree, "conifer": conifer, "birch": birch, "young": young_tree, "bush": bush,
+    "round": round_tree,
+    "tall": tall_tree,
+    "conifer": conifer,
+    "birch": birch,
+    "young": young_tree,
+    "bush": bush,
     "distant": distant,
-}  # fmt: skip
+}

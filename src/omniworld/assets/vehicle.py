@@ -14,9 +14,17 @@ from omniworld.mesh.shape import Color, Number, Skin, beam, blob, box, lathe, lo
 EGO_LENGTH_M = 4.6
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
-    (196, 198, 200), (236, 236, 234), (40, 42, 46), (96, 100, 106), (150, 30, 34), (34, 62, 120), (60, 92, 76),
-    (190, 150, 60), (116, 84, 64), (150, 176, 196),
-)  # fmt: skip
+    (196, 198, 200),
+    (236, 236, 234),
+    (40, 42, 46),
+    (96, 100, 106),
+    (150, 30, 34),
+    (34, 62, 120),
+    (60, 92, 76),
+    (190, 150, 60),
+    (116, 84, 64),
+    (150, 176, 196),
+)
 _EGO_PAINT = (128, 24, 28)
 _PAINT = Skin(VEHICLE, Material.CAR_PAINT, (150, 150, 150))
 _GLASS = Skin(VEHICLE, Material.GLASS, (38, 46, 54))
@@ -57,25 +65,44 @@ def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) ->
 
 
 def _car(
-    length: float, width: float, height: float, hood: float, cabin: tuple[float, float, float, float],
+    length: float,
+    width: float,
+    height: float,
+    hood: float,
+    cabin: tuple[float, float, float, float],
     belt: float = 0.92,
-) -> Mesh:  # fmt: skip
+) -> Mesh:
     """Build a car: a body below the belt line, glass above it.
 
     `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.
     """
     h, w = length / 2, width / 2
-    body = np.array([
-        (-h, 0.36), (-h + 0.1, 0.24), (h - 0.15, 0.24), (h, 0.38), (h, 0.62), (h - 0.1, hood - 0.12),
-        (cabin[3] * length, belt), (cabin[0] * length, belt + 0.02), (-h + 0.05, belt - 0.04), (-h, 0.7),
-    ])  # fmt: skip
+    body = np.array(
+        [
+            (-h, 0.36),
+            (-h + 0.1, 0.24),
+            (h - 0.15, 0.24),
+            (h, 0.38),
+            (h, 0.62),
+            (h - 0.1, hood - 0.12),
+            (cabin[3] * length, belt),
+            (cabin[0] * length, belt + 0.02),
+            (-h + 0.05, belt - 0.04),
+            (-h, 0.7),
+        ]
+    )
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
     rear, rear_top, front_top, front = (fraction * length for fraction in cabin)
-    top = np.array([
-        (rear, belt), (front, belt - 0.02), (front_top, height - 0.03), (0.5 * (front_top + rear_top), height),
-        (rear_top, height - 0.05),
-    ])  # fmt: skip
+    top = np.array(
+        [
+            (rear, belt),
+            (front, belt - 0.02),
+            (front_top, height - 0.03),
+            (0.5 * (front_top + rear_top), height),
+            (rear_top, height - 0.05),
+        ]
+    )
     narrow = np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w
     parts.append(loft(top, narrow, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS))
     pillar = 0.5 * (front_top + rear_top) - 0.05 * length
@@ -176,8 +203,14 @@ def bicycle(rng: np.random.Generator) -> Mesh:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "sedan": sedan, "hatchback": hatchback, "suv": suv, "van": van, "truck": truck, "bus": bus, "bicycle": bicycle,
-}  # fmt: skip
+    "sedan": sedan,
+    "hatchback": hatchback,
+    "suv": suv,
+    "van": van,
+    "truck": truck,
+    "bus": bus,
+    "bicycle": bicycle,
+}
 
 
 PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}

@@ -40,9 +40,14 @@ class Mesh:
 def empty() -> Mesh:
     """Return a mesh without faces."""
     return Mesh(
-        np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3, 2), np.float32),
-        np.zeros(0, np.uint8), np.zeros(0, np.uint8), np.zeros((0, 3), np.uint8), np.zeros(0, np.int32),
-    )  # fmt: skip
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.int32),
+        np.zeros((0, 3, 2), np.float32),
+        np.zeros(0, np.uint8),
+        np.zeros(0, np.uint8),
+        np.zeros((0, 3), np.uint8),
+        np.zeros(0, np.int32),
+    )
 
 
 def concatenate(meshes: Iterable[Mesh]) -> Mesh:
@@ -84,6 +89,11 @@ def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndar
     for material, color in paint.items():
         colors[:, mesh.material == material] = color[:, None]
     return Mesh(
-        vertices, (mesh.faces + offsets).reshape(-1, 3), np.tile(mesh.uv, (count, 1, 1)), np.tile(mesh.label, count),
-        np.tile(mesh.material, count), colors.reshape(-1, 3), np.tile(mesh.instance, count),
-    )  # fmt: skip
+        vertices,
+        (mesh.faces + offsets).reshape(-1, 3),
+        np.tile(mesh.uv, (count, 1, 1)),
+        np.tile(mesh.label, count),
+        np.tile(mesh.material, count),
+        colors.reshape(-1, 3),
+        np.tile(mesh.instance, count),
+    )

@@ -54,9 +54,14 @@ def _uniform(vertices_m: np.ndarray, faces: np.ndarray, uv_m: np.ndarray, skin: 
     color = np.empty((count, 3), np.uint8)
     color[:] = skin.color
     return Mesh(
-        vertices_m, faces, uv_m, np.full(count, skin.label, np.uint8), np.full(count, skin.material, np.uint8), color,
+        vertices_m,
+        faces,
+        uv_m,
+        np.full(count, skin.label, np.uint8),
+        np.full(count, skin.material, np.uint8),
+        color,
         np.full(count, -1, np.int32),
-    )  # fmt: skip
+    )
 
 
 _BOX_SIGNS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
@@ -97,9 +102,12 @@ def sheet(points_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
 
 
 def lathe(
-    radius_m: Sequence[Number], height_m: Sequence[Number], sides: int, skin: Skin,
+    radius_m: Sequence[Number],
+    height_m: Sequence[Number],
+    sides: int,
+    skin: Skin,
     center_m: tuple[Number, Number] = (0.0, 0.0),
-) -> Mesh:  # fmt: skip
+) -> Mesh:
     """Turn a profile, given from bottom to top, around a vertical axis; a radius of 0 closes an end."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     radius, height = np.asarray(radius_m, float)[:, None], np.asarray(height_m, float)[:, None]
@@ -140,9 +148,14 @@ def fan(rim_m: np.ndarray, skin: Skin, uv_axes: tuple[int, int] = (0, 1)) -> Mes
 
 
 def blob(
-    rng: np.random.Generator, radius_m: Triple, center_m: Triple,
-    skin: Skin, roughness: Number = 0.18, sides: int = 7, rows: int = 5,
-) -> Mesh:  # fmt: skip
+    rng: np.random.Generator,
+    radius_m: Triple,
+    center_m: Triple,
+    skin: Skin,
+    roughness: Number = 0.18,
+    sides: int = 7,
+    rows: int = 5,
+) -> Mesh:
     """Build a lumpy ellipsoid, for crowns, bushes and heads; `roughness` is noise as a fraction of the radius."""
     polar, angle = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None], np.linspace(0, 2 * np.pi, sides + 1)[None]
     scale = 1 + roughness * rng.uniform(-1, 1, (rows, sides + 1))

@@ -58,9 +58,18 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     if view.extra.shape[2]:
         border, shadow = np.zeros((2, len(view.pixel)), bool)
         find_borders(
-            view.right, view.below, hits.face, surfaces.key, seen.lit, seen.offset_m, hits.range_m, _STEP_M,
-            _STEP_FRACTION, border, shadow,
-        )  # fmt: skip
+            view.right,
+            view.below,
+            hits.face,
+            surfaces.key,
+            seen.lit,
+            seen.offset_m,
+            hits.range_m,
+            _STEP_M,
+            _STEP_FRACTION,
+            border,
+            shadow,
+        )
         _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe)
     hit = hits.face >= 0
     key = np.where(hit, surfaces.key.take(hits.face), 0)
@@ -95,9 +104,14 @@ def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
 
 
 def _smooth(
-    view: View, snapshot: Snapshot, index: np.ndarray, face: np.ndarray, shadow: np.ndarray, color: np.ndarray,
+    view: View,
+    snapshot: Snapshot,
+    index: np.ndarray,
+    face: np.ndarray,
+    shadow: np.ndarray,
+    color: np.ndarray,
     maybe: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Set the colour (3, P) of the pixels `index` to the mean over all their rays, in place.
 
     A ray that hits the same triangle `face` (P,) as the centre ray gets its colour, unless a `shadow` (P,) ends there.

@@ -196,9 +196,7 @@ def mirrored_sky(x, y, z, clouds, light):
 
 @compiled
 @no_type_check
-def shade_rays(
-    hits, dark, directions, origin, table, atlas, clouds, pools, light, pixel_rad, color, offset_m, lit
-):  # fmt: skip
+def shade_rays(hits, dark, directions, origin, table, atlas, clouds, pools, light, pixel_rad, color, offset_m, lit):
     """Fill the linear colour (3, R) of each ray, the distance (R,) of the hit plane, and whether it is sunlit.
 
     `dark` (R,) bool is whether a shadow falls there. See `omniworld.render.shade`.
@@ -225,9 +223,7 @@ def shade_rays(
         v_m = table[face, _U + 1] + u * table[face, _U1 + 1] + v * table[face, _U2 + 1]
         footprint_m = range_m * pixel_rad / sqrt(max(cosine, 0.05))
         code = int(table[face, LAYER])
-        tint, own_red, own_green, own_blue = sample(
-            code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_m, macro
-        )  # fmt: skip
+        tint, own_red, own_green, own_blue = sample(code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_m, macro)
         red = table[face, _RED] * tint + own_red
         green = table[face, _RED + 1] * tint + own_green
         blue = table[face, _RED + 2] * tint + own_blue

@@ -24,9 +24,14 @@ class Shading(NamedTuple):
 
 
 def shade(
-    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Shadows, light: Light,
+    hits: Hits,
+    origin: np.ndarray,
+    directions: np.ndarray,
+    surfaces: Surfaces,
+    shadows: Shadows,
+    light: Light,
     pixel_rad: float,
-) -> Shading:  # fmt: skip
+) -> Shading:
     """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
     Under clouds only level ground is tested for shadow: whether a car or another low object is above it.

@@ -60,9 +60,12 @@ class Snapshot:
         )
 
     def cast(
-        self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None,
+        self,
+        point_ego: np.ndarray,
+        directions_ego: np.ndarray,
+        known: Hits | None = None,
         maybe: np.ndarray | None = None,
-    ) -> Hits:  # fmt: skip
+    ) -> Hits:
         """Return the nearest hits from an ego point (3,) along ego directions (3, R).
 
         Hits on the ego car count only where `known` has them. `maybe` (R,) bool tells which rays may hit a moving

@@ -62,11 +62,19 @@ def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
     axis = rig.ego_from_camera[camera, :3, 2].numpy()
     angle = np.arccos(np.clip(center @ axis, -1, 1))
     return View(
-        (height, width), pixel, right, below, origin_m, np.ascontiguousarray(center.T),
-        np.ascontiguousarray(np.moveaxis(extra, -1, 0)), ego_car.cast(origin_m[None], center),
-        ego_car.cast(origin_m[None], flat), float(steps.mean()),
-        _tiles(pixel, (height, width), center, float(steps.max())), ((angle / angle.max()) ** 2).astype(np.float32),
-    )  # fmt: skip
+        (height, width),
+        pixel,
+        right,
+        below,
+        origin_m,
+        np.ascontiguousarray(center.T),
+        np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
+        ego_car.cast(origin_m[None], center),
+        ego_car.cast(origin_m[None], flat),
+        float(steps.mean()),
+        _tiles(pixel, (height, width), center, float(steps.max())),
+        ((angle / angle.max()) ** 2).astype(np.float32),
+    )
 
 
 def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_rad: float) -> Cones:

@@ -34,9 +34,14 @@ def draw_light(weather: str, rng: np.random.Generator) -> Light:
     if weather == "rain":
         dim = 0.7
         return replace(
-            light, zenith=dim * light.zenith, horizon=dim * light.horizon, bounce=0.5 * light.bounce,
-            haze_m=70 + 110 * haze, wet=0.7 + 0.3 * cover, streaks=0.2 + 0.4 * height,
-        )  # fmt: skip
+            light,
+            zenith=dim * light.zenith,
+            horizon=dim * light.horizon,
+            bounce=0.5 * light.bounce,
+            haze_m=70 + 110 * haze,
+            wet=0.7 + 0.3 * cover,
+            streaks=0.2 + 0.4 * height,
+        )
     if weather == "fog":
         # The sky is as bright as the fog, so that no edge shows between them.
         return replace(light, zenith=1.04 * light.horizon, cloud_cover=0.0, haze_m=18 + 36 * haze, wet=0.25 * cover)
@@ -64,29 +69,48 @@ def _clear(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray,
     low = float(np.clip((np.radians(45) - elevation) / np.radians(33), 0, 1))
     bounce = 0.16 * np.sin(elevation) * _color(1.0, 0.93, 0.85)
     return Light(
-        sun_direction=direction, sun=(1.15 - 0.3 * low) * _color(1.0, 0.95 - 0.17 * low, 0.86 - 0.36 * low),
+        sun_direction=direction,
+        sun=(1.15 - 0.3 * low) * _color(1.0, 0.95 - 0.17 * low, 0.86 - 0.36 * low),
         zenith=(0.8 + 0.3 * depth) * _color(0.12, 0.23, 0.50),
-        horizon=_color(0.46 + 0.14 * low, 0.54, 0.64 - 0.14 * low), bounce=bounce.astype(np.float32), glow=0.6,
-        cloud_cover=cover, cloud_shift=shift, haze_m=haze_m,
-    )  # fmt: skip
+        horizon=_color(0.46 + 0.14 * low, 0.54, 0.64 - 0.14 * low),
+        bounce=bounce.astype(np.float32),
+        glow=0.6,
+        cloud_cover=cover,
+        cloud_shift=shift,
+        haze_m=haze_m,
+    )
 
 
 def _dusk(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
     """Return the light after sunset: a last warm light from the side, a pale horizon, lamps and windows lit."""
     late = 0.9 - 0.6 * depth
     return Light(
-        sun_direction=direction, sun=0.16 * late * _color(1.0, 0.55, 0.30), zenith=late * _color(0.045, 0.070, 0.150),
-        horizon=late * _color(0.30, 0.20, 0.19), bounce=0.02 * _color(1.0, 0.95, 0.9), glow=0.9, cloud_cover=cover,
-        cloud_shift=shift, haze_m=haze_m, lamps=0.6 + 0.4 * depth,
-    )  # fmt: skip
+        sun_direction=direction,
+        sun=0.16 * late * _color(1.0, 0.55, 0.30),
+        zenith=late * _color(0.045, 0.070, 0.150),
+        horizon=late * _color(0.30, 0.20, 0.19),
+        bounce=0.02 * _color(1.0, 0.95, 0.9),
+        glow=0.9,
+        cloud_cover=cover,
+        cloud_shift=shift,
+        haze_m=haze_m,
+        lamps=0.6 + 0.4 * depth,
+    )
 
 
 def _grey(brightness: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
     sky = brightness * _color(0.93, 0.97, 1.0)
     return Light(
-        sun_direction=_color(0.0, 0.0, 1.0), sun=_color(0.0, 0.0, 0.0), zenith=1.05 * sky, horizon=0.85 * sky,
-        bounce=0.2 * sky, glow=0.0, cloud_cover=cover, cloud_shift=shift, haze_m=haze_m,
-    )  # fmt: skip
+        sun_direction=_color(0.0, 0.0, 1.0),
+        sun=_color(0.0, 0.0, 0.0),
+        zenith=1.05 * sky,
+        horizon=0.85 * sky,
+        bounce=0.2 * sky,
+        glow=0.0,
+        cloud_cover=cover,
+        cloud_shift=shift,
+        haze_m=haze_m,
+    )
 
 
 def _direction(turn: float, elevation_deg: float) -> np.ndarray:

@@ -9,9 +9,9 @@ from omniocc import seeding
 from omniocc.camera import Pinhole
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
+from omniworld.fingerprint import world_code
 from omniworld.render.light import Light
 from omniworld.render.weather import draw_light, draw_weather
-from omniworld.source import world_code
 from omniworld.variations.night import NIGHT
 
 LOW_SUN_DEG = 25.0

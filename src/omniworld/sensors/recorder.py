@@ -32,9 +32,15 @@ class Recorder:
     """
 
     def __init__(
-        self, rig: Rig, labeller: Labeller, supersample: int, capture: str, erp_size: tuple[int, int],
-        erp_top_deg: float, erp_bottom_deg: float,
-    ) -> None:  # fmt: skip
+        self,
+        rig: Rig,
+        labeller: Labeller,
+        supersample: int,
+        capture: str,
+        erp_size: tuple[int, int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+    ) -> None:
         self.views, self.renderers = make_cameras(rig, supersample, capture)
         self.erp_size = erp_size
         self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
@@ -42,9 +48,14 @@ class Recorder:
         self.labeller = labeller
 
     def frame(
-        self, snapshot: Snapshot, sensor: Sensor, seed: tuple[int, ...], time_s: float, world_from_ego: np.ndarray,
+        self,
+        snapshot: Snapshot,
+        sensor: Sensor,
+        seed: tuple[int, ...],
+        time_s: float,
+        world_from_ego: np.ndarray,
         boxes: tuple[Box, ...],
-    ) -> Frame:  # fmt: skip
+    ) -> Frame:
         """Record one time step; `seed` decides the sensors' noise."""
         images = [
             expose(view, render(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
@@ -54,9 +65,18 @@ class Recorder:
         points_m, labels = self.labeller.scan(snapshot)
         erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
         return Frame(
-            time_s, world_from_ego, rgb, semantics, range_m, erp_range_m, points_m, labels, lidar_range_m, lidar_labels,
+            time_s,
+            world_from_ego,
+            rgb,
+            semantics,
+            range_m,
+            erp_range_m,
+            points_m,
+            labels,
+            lidar_range_m,
+            lidar_labels,
             boxes,
-        )  # fmt: skip
+        )
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""

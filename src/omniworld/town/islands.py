@@ -25,10 +25,20 @@ def islands(theme: Theme, network: Network, site: Site, rng: np.random.Generator
             continue
         ground = float(site.terrain.height(x, y)) + CROWN_M
         radius = theme.island_m
-        kerb = lathe([radius, radius, radius - 0.9], [ground - 1.0, ground + 0.16, ground + 0.2], 20,
-                     Skin(SIDEWALK, Material.CONCRETE, (176, 172, 164)), (x, y))  # fmt: skip
-        lawn = lathe([radius - 0.9, 0.5 * radius, 0], [ground + 0.2, ground + 0.55, ground + 0.7], 20,
-                     Skin(GROUND, Material.GRASS, (88, 120, 60)), (x, y))  # fmt: skip
+        kerb = lathe(
+            [radius, radius, radius - 0.9],
+            [ground - 1.0, ground + 0.16, ground + 0.2],
+            20,
+            Skin(SIDEWALK, Material.CONCRETE, (176, 172, 164)),
+            (x, y),
+        )
+        lawn = lathe(
+            [radius - 0.9, 0.5 * radius, 0],
+            [ground + 0.2, ground + 0.55, ground + 0.7],
+            20,
+            Skin(GROUND, Material.GRASS, (88, 120, 60)),
+            (x, y),
+        )
         parts += [kerb, lawn]
         for k in range(int(rng.integers(3, 7))):
             pose = Pose2(x, y, k * 1.1).at(float(rng.uniform(0.3, 0.55)) * radius, 0.0, float(rng.uniform(0, 3)))

@@ -224,9 +224,12 @@ def _arrival(
 
 
 def _ring(
-    junctions: np.ndarray, edges: tuple[Edge, ...], face: list[tuple[int, bool]], corners: list[_Corner],
+    junctions: np.ndarray,
+    edges: tuple[Edge, ...],
+    face: list[tuple[int, bool]],
+    corners: list[_Corner],
     trim: dict[tuple[int, bool], float],
-) -> Ring:  # fmt: skip
+) -> Ring:
     kerb, normals, inner, sides = [], [], [], []
     for (index, forward), corner in zip(face, corners, strict=True):
         edge = edges[index]

@@ -282,11 +282,13 @@ def _square(plot: Plot) -> None:
 _PATH = panel((PIECE_M + 0.1, 3.0, 0.4), (0, 0, -0.17), Skin(SIDEWALK, Material.PAVING, (172, 160, 140)), "frblt")
 _TILE = panel((3.06, 3.06, 0.6), (0, 0, -0.26), Skin(SIDEWALK, Material.PAVING, (160, 150, 136)), "frblt")
 _STONE = Skin(OTHER, Material.CONCRETE, (168, 164, 154))
-_FOUNTAIN = concatenate([
-    lathe([2.2, 2.3, 2.0, 1.9], [-0.3, 0.6, 0.6, 0.35], 14, _STONE),
-    lathe([1.95, 0.0], [0.4, 0.41], 14, Skin(OTHER, Material.GLASS, (70, 100, 110))),
-    lathe([0.3, 0.2, 0.8, 0.0], [0.2, 1.5, 1.8, 1.7], 10, _STONE),
-])  # fmt: skip
+_FOUNTAIN = concatenate(
+    [
+        lathe([2.2, 2.3, 2.0, 1.9], [-0.3, 0.6, 0.6, 0.35], 14, _STONE),
+        lathe([1.95, 0.0], [0.4, 0.41], 14, Skin(OTHER, Material.GLASS, (70, 100, 110))),
+        lathe([0.3, 0.2, 0.8, 0.0], [0.2, 1.5, 1.8, 1.7], 10, _STONE),
+    ]
+)
 
 
 def _solids(plot: Plot) -> None:
@@ -304,7 +306,18 @@ def _solids(plot: Plot) -> None:
 
 
 KINDS: dict[str, Callable[[Plot], None]] = {
-    "tower": _tower, "row": _row, "house": _house, "hall": _hall, "yard": _yard, "park": _park, "lot": _lot,
-    "field": _field, "farm": _farm, "college": _college, "green": _green, "church": _churchyard, "square": _square,
+    "tower": _tower,
+    "row": _row,
+    "house": _house,
+    "hall": _hall,
+    "yard": _yard,
+    "park": _park,
+    "lot": _lot,
+    "field": _field,
+    "farm": _farm,
+    "college": _college,
+    "green": _green,
+    "church": _churchyard,
+    "square": _square,
     "solids": _solids,
-}  # fmt: skip
+}

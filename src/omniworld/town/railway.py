@@ -42,8 +42,21 @@ def railway(network: Network, site: Site) -> Mesh:
 def _deck(points: np.ndarray, top: np.ndarray, left: np.ndarray) -> Mesh:
     """Build beam, slab and parapets as one profile drawn along the line."""
     w = _HALF_WIDTH_M
-    outline = np.array([(-w, 1.9), (-w, 0.9), (-2.9, 0.0), (2.9, 0.0), (w, 0.9), (w, 1.9), (w - 0.25, 1.9),
-                        (w - 0.25, 1.0), (-w + 0.25, 1.0), (-w + 0.25, 1.9), (-w, 1.9)])  # fmt: skip
+    outline = np.array(
+        [
+            (-w, 1.9),
+            (-w, 0.9),
+            (-2.9, 0.0),
+            (2.9, 0.0),
+            (w, 0.9),
+            (w, 1.9),
+            (w - 0.25, 1.9),
+            (w - 0.25, 1.0),
+            (-w + 0.25, 1.0),
+            (-w + 0.25, 1.9),
+            (-w, 1.9),
+        ]
+    )
     xy = points[:, None] + outline[:, :1] * left
     net = np.concatenate([xy, np.broadcast_to((top[:, None] + outline[:, 1])[..., None], (*xy.shape[:2], 1))], -1)
     uv = np.stack(np.meshgrid(arc_lengths(outline), _SPAN_M * np.arange(len(points))), -1)

@@ -91,9 +91,15 @@ class Site:
     _copies: dict[tuple[int, tuple[Material, ...]], tuple[Mesh, list, list]] = field(default_factory=dict)
 
     def put(
-        self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
-        paint: dict[Material, Color] | None = None, follow: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        mesh: Mesh,
+        pose: Pose2,
+        *,
+        stretch: Triple = (1.0, 1.0, 1.0),
+        lift_m: Number = KERB_M,
+        paint: dict[Material, Color] | None = None,
+        follow: bool = False,
+    ) -> None:
         """Stand a copy of `mesh` on the land, some materials repainted; claims nothing on the plan.
 
         With `follow` its x axis rises and falls with the land, as fences do.

@@ -65,9 +65,14 @@ class _Line:
 
 
 def furnish(
-    theme: Theme, network: Network, ring: Ring, paved: bool, crossings: frozenset[tuple[int, bool]], site: Site,
+    theme: Theme,
+    network: Network,
+    ring: Ring,
+    paved: bool,
+    crossings: frozenset[tuple[int, bool]],
+    site: Site,
     rng: np.random.Generator,
-) -> None:  # fmt: skip
+) -> None:
     """Put all objects along one block's sides: furniture, parked cars, plots."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])

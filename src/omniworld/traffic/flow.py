@@ -124,9 +124,8 @@ class Flow:
             self._extend(car, k)
             onto.setdefault(car.pieces[k], []).append((car.along_m - car.starts_m[k], index))
             car.right_of_way = [
-                k2 for k2 in car.right_of_way
-                if car.along_m - 0.5 * car.length_m < car.starts_m[k2 + 1] + _CLEAR_M
-            ]  # fmt: skip
+                k2 for k2 in car.right_of_way if car.along_m - 0.5 * car.length_m < car.starts_m[k2 + 1] + _CLEAR_M
+            ]
         for row in onto.values():
             row.sort()
         self._give_way(time_s, current, onto)

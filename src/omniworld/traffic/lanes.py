@@ -126,8 +126,13 @@ def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tup
             if abs(angle) > _STRAIGHT_RAD or other.number == min(lane.number, inner):
                 options.append((origin, target, angle))
         options.sort(key=lambda option: option[2])
-        kept = [option for option in options if abs(option[2]) <= _STRAIGHT_RAD
-                or (option[2] < 0 and lane.number == 0) or (option[2] > 0 and lane.number == last)]  # fmt: skip
+        kept = [
+            option
+            for option in options
+            if abs(option[2]) <= _STRAIGHT_RAD
+            or (option[2] < 0 and lane.number == 0)
+            or (option[2] > 0 and lane.number == last)
+        ]
         pairs += kept or options[:1]
     return pairs
 

@@ -41,9 +41,14 @@ class NightScene(Scene):
 def night_light(dusk: Light) -> Light:
     """Return the light of the same sky at night: its own glow is a hundredth of a grey day's, the moon's less."""
     return replace(
-        dusk, sun=np.array([0.004, 0.005, 0.007], np.float32), zenith=np.array([0.003, 0.004, 0.008], np.float32),
-        horizon=np.array([0.010, 0.009, 0.010], np.float32), bounce=np.zeros(3, np.float32), glow=0.0, lamps=1.0,
-    )  # fmt: skip
+        dusk,
+        sun=np.array([0.004, 0.005, 0.007], np.float32),
+        zenith=np.array([0.003, 0.004, 0.008], np.float32),
+        horizon=np.array([0.010, 0.009, 0.010], np.float32),
+        bounce=np.zeros(3, np.float32),
+        glow=0.0,
+        lamps=1.0,
+    )
 
 
 Beam = tuple[np.ndarray, np.ndarray]

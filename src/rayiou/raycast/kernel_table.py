@@ -42,8 +42,11 @@ class KernelTable:
         is_cylinder = grid.periodic[1]
         edges = torch.linspace(bottom, top, grid.shape[2] + 1, dtype=torch.float64).numpy()
         self.grid = (
-            edges, np.array(grid.bounds[:2]), grid.shape[:2], sector_faces(grid.shape[1] if is_cylinder else 0),
-        )  # fmt: skip
+            edges,
+            np.array(grid.bounds[:2]),
+            grid.shape[:2],
+            sector_faces(grid.shape[1] if is_cylinder else 0),
+        )
         # the most columns along an azimuth: rings are crossed twice, half of the sectors' faces once
         self.longest = 3 + (2 * grid.shape[0] + (grid.shape[1] + 1) // 2 if is_cylinder else sum(grid.shape[:2]))
         self.uses, self.kept = 0, None

@@ -104,9 +104,11 @@ def clip(
 
 
 def in_order(
-    crossings: Sequence[Crossings], strides: Sequence[int], start_m: Float64[Tensor, " R"],
+    crossings: Sequence[Crossings],
+    strides: Sequence[int],
+    start_m: Float64[Tensor, " R"],
     leave_m: Float64[Tensor, " R"],
-) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:  # fmt: skip
+) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
     """Return the crossings of several axes in order: the cell of each stretch between two, and the stretches' ends.
 
     `strides` are those of the axes in a flat cell index, which is negative in a cylinder's hole. Crossings beyond

@@ -15,7 +15,7 @@ from omniocc.camera.calibration.fields import (
     required,
     single,
     whole,
-)  # fmt: skip
+)
 from omniocc.camera.models.mei import MEI
 from omniocc.io import parse_yaml, read_short_text, twice
 
@@ -33,11 +33,14 @@ def read_kitti360(content: Any, name: str) -> Calibration:
         for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
     )
     camera = MEI(
-        whole(content, "image_width"), whole(content, "image_height"),
+        whole(content, "image_width"),
+        whole(content, "image_height"),
         (number(projection, "gamma1"), number(projection, "gamma2")),
-        (number(projection, "u0"), number(projection, "v0")), number(mirror, "xi"),
-        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")), 180.0,
-    )  # fmt: skip
+        (number(projection, "u0"), number(projection, "v0")),
+        number(mirror, "xi"),
+        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
+        180.0,
+    )
     return single(camera, str(content.get("camera_name", name)))
 
 

@@ -53,9 +53,14 @@ def _camera(entry: dict[str, Any]) -> OCam:
     height, width = size(entry, "image_size")
     center_row, center_column = row(entry, 2, "center")
     return OCam(
-        width, height, (center_column, center_row), counted("poly", row(entry, None, "poly")),
-        counted("inv_poly", row(entry, None, "inv_poly")), tuple(row(entry, 3, "affine")), number(entry, "max_fov") / 2,
-    )  # fmt: skip
+        width,
+        height,
+        (center_column, center_row),
+        counted("poly", row(entry, None, "poly")),
+        counted("inv_poly", row(entry, None, "inv_poly")),
+        tuple(row(entry, 3, "affine")),
+        number(entry, "max_fov") / 2,
+    )
 
 
 def _pose(values: list[float]) -> Float64[Tensor, "4 4"]:

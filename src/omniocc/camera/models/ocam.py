@@ -90,11 +90,14 @@ class OCam:
         scale_x, scale_y = width / self.width, height / self.height
         c, d, e = self.affine
         return replace(
-            self, width=width, height=height, center_px=scaled_center(self.center_px, scale_x, scale_y),
+            self,
+            width=width,
+            height=height,
+            center_px=scaled_center(self.center_px, scale_x, scale_y),
             polynomial=tuple(a * scale_x ** (1 - power) for power, a in enumerate(self.polynomial)),
             inverse_polynomial=tuple(a * scale_x for a in self.inverse_polynomial),
             affine=(c * scale_y / scale_x, d * scale_y / scale_x, e),
-        )  # fmt: skip
+        )
 
     @property
     def limit_rad(self) -> float:

@@ -62,9 +62,13 @@ class RadialPolynomial:
         """See `Camera.resized`."""
         scale_x, scale_y = width / self.width, height / self.height
         return replace(
-            self, width=width, height=height, coefficients_px=tuple(k * scale_x for k in self.coefficients_px),
-            center_px=scaled_center(self.center_px, scale_x, scale_y), aspect=self.aspect * scale_y / scale_x,
-        )  # fmt: skip
+            self,
+            width=width,
+            height=height,
+            coefficients_px=tuple(k * scale_x for k in self.coefficients_px),
+            center_px=scaled_center(self.center_px, scale_x, scale_y),
+            aspect=self.aspect * scale_y / scale_x,
+        )
 
     @property
     def _radius(self) -> tuple[float, ...]:

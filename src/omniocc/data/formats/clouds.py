@@ -32,10 +32,23 @@ MOST_COLUMNS = 32
 LZF_RATIO = 88
 """Largest ratio of LZF, in which three bytes stand for up to 264."""
 PLY_TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float32": "f4", "float64": "f8",
-}  # fmt: skip
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "float64": "f8",
+}
 PCD_TYPES = {
     kind + size: f"<{kind.lower()}{size}"
     for kind, sizes in (("F", "48"), ("I", "1248"), ("U", "1248"))
@@ -397,6 +410,9 @@ def _whole(path: Path, name: str, text: str) -> int:
 
 
 READERS: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
-    ".bin": read_bin, ".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz,
-}  # fmt: skip
+    ".bin": read_bin,
+    ".pcd": read_pcd,
+    ".ply": read_ply,
+    ".npz": read_npz,
+}
 """Readers by the suffix of the file: each returns the fields of the points by name."""

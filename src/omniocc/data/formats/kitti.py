@@ -22,13 +22,28 @@ LOW_M, CELL_M = (0.0, -25.6, -2.0), 0.2
 TR = "take calib.txt from the archive of the Velodyne scans; that of the images has no line 'Tr:'"
 
 _COLORS = {
-    "car": (100, 150, 245), "bicycle": (100, 230, 245), "motorcycle": (30, 60, 150), "truck": (80, 30, 180),
-    "other-vehicle": (100, 80, 250), "person": (255, 30, 30), "bicyclist": (255, 40, 200),
-    "motorcyclist": (150, 30, 90), "road": (255, 0, 255), "parking": (255, 150, 255), "sidewalk": (75, 0, 75),
-    "other-ground": (175, 0, 75), "building": (255, 200, 0), "fence": (255, 120, 50), "vegetation": (0, 175, 0),
-    "trunk": (135, 60, 0), "terrain": (150, 240, 80), "pole": (255, 240, 150), "traffic-sign": (255, 0, 0),
-    "other-structure": (0, 150, 255), "other-object": (255, 255, 50),
-}  # fmt: skip
+    "car": (100, 150, 245),
+    "bicycle": (100, 230, 245),
+    "motorcycle": (30, 60, 150),
+    "truck": (80, 30, 180),
+    "other-vehicle": (100, 80, 250),
+    "person": (255, 30, 30),
+    "bicyclist": (255, 40, 200),
+    "motorcyclist": (150, 30, 90),
+    "road": (255, 0, 255),
+    "parking": (255, 150, 255),
+    "sidewalk": (75, 0, 75),
+    "other-ground": (175, 0, 75),
+    "building": (255, 200, 0),
+    "fence": (255, 120, 50),
+    "vegetation": (0, 175, 0),
+    "trunk": (135, 60, 0),
+    "terrain": (150, 240, 80),
+    "pole": (255, 240, 150),
+    "traffic-sign": (255, 0, 0),
+    "other-structure": (0, 150, 255),
+    "other-object": (255, 255, 50),
+}
 
 
 def _table(names: list[str]) -> ClassTable:
@@ -38,23 +53,74 @@ def _table(names: list[str]) -> ClassTable:
 
 SEMANTIC_KITTI = _table(list(_COLORS)[:19])
 """The 20 classes of semantic scene completion on SemanticKITTI."""
-SSCBENCH = _table([
-    "car", "bicycle", "motorcycle", "truck", "other-vehicle", "person", "road", "parking", "sidewalk", "other-ground",
-    "building", "fence", "vegetation", "terrain", "pole", "traffic-sign", "other-structure", "other-object",
-])  # fmt: skip
+SSCBENCH = _table(
+    [
+        "car",
+        "bicycle",
+        "motorcycle",
+        "truck",
+        "other-vehicle",
+        "person",
+        "road",
+        "parking",
+        "sidewalk",
+        "other-ground",
+        "building",
+        "fence",
+        "vegetation",
+        "terrain",
+        "pole",
+        "traffic-sign",
+        "other-structure",
+        "other-object",
+    ]
+)
 """The 19 classes of SSCBench-KITTI-360."""
 
 SEMANTIC_KITTI_IDS = {
-    1: (10, 252), 2: (11,), 3: (15,), 4: (18, 258), 5: (20, 13, 16, 256, 257, 259), 6: (30, 254), 7: (31, 253),
-    8: (32, 255), 9: (40, 60), 10: (44,), 11: (48,), 12: (49,), 13: (50,), 14: (51,), 15: (70,), 16: (71,), 17: (72,),
-    18: (80,), 19: (81,), UNKNOWN: (1, 52, 99),
-}  # fmt: skip
+    1: (10, 252),
+    2: (11,),
+    3: (15,),
+    4: (18, 258),
+    5: (20, 13, 16, 256, 257, 259),
+    6: (30, 254),
+    7: (31, 253),
+    8: (32, 255),
+    9: (40, 60),
+    10: (44,),
+    11: (48,),
+    12: (49,),
+    13: (50,),
+    14: (51,),
+    15: (70,),
+    16: (71,),
+    17: (72,),
+    18: (80,),
+    19: (81,),
+    UNKNOWN: (1, 52, 99),
+}
 """Ids in files of each class, that of submissions first; 255 are those that do not count (semantic-kitti.yaml)."""
 SSCBENCH_IDS = {
-    1: (10, 252), 2: (11,), 3: (15,), 4: (18, 258), 5: (20, 13, 16, 256, 257, 259), 6: (30, 254), 7: (40, 60), 8: (44,),
-    9: (48,), 10: (49,), 11: (50,), 12: (51,), 13: (70,), 14: (72,), 15: (80,), 16: (81,), 17: (52,), 18: (99,),
+    1: (10, 252),
+    2: (11,),
+    3: (15,),
+    4: (18, 258),
+    5: (20, 13, 16, 256, 257, 259),
+    6: (30, 254),
+    7: (40, 60),
+    8: (44,),
+    9: (48,),
+    10: (49,),
+    11: (50,),
+    12: (51,),
+    13: (70,),
+    14: (72,),
+    15: (80,),
+    16: (81,),
+    17: (52,),
+    18: (99,),
     UNKNOWN: (1, 31, 32, 71, 253, 255),
-}  # fmt: skip
+}
 """The same of SSCBench-KITTI-360 (dataset/configs/kitti360.yaml)."""
 
 

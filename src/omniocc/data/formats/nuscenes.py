@@ -26,10 +26,33 @@ CHUNK_BYTES = 1 << 22
 MIB = 1 << 20
 
 VALIDATION = (
-    (3, 3), (12, 18), (35, 36), (38, 39), (92, 110), (221, 221), (268, 278), (329, 332), (344, 346), (519, 524),
-    (552, 565), (625, 627), (629, 630), (632, 638), (770, 771), (775, 775), (777, 778), (780, 784), (794, 800),
-    (802, 802), (904, 917), (919, 931), (962, 963), (966, 969), (971, 972), (1059, 1073),
-)  # fmt: skip
+    (3, 3),
+    (12, 18),
+    (35, 36),
+    (38, 39),
+    (92, 110),
+    (221, 221),
+    (268, 278),
+    (329, 332),
+    (344, 346),
+    (519, 524),
+    (552, 565),
+    (625, 627),
+    (629, 630),
+    (632, 638),
+    (770, 771),
+    (775, 775),
+    (777, 778),
+    (780, 784),
+    (794, 800),
+    (802, 802),
+    (904, 917),
+    (919, 931),
+    (962, 963),
+    (966, 969),
+    (971, 972),
+    (1059, 1073),
+)
 """First and last numbers of the 150 official validation scenes (nuscenes-devkit, utils/splits.py, `val`)."""
 
 
@@ -195,7 +218,7 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
 
 def _scene(
     tables: Path, scene: str, tokens: list[str], taken: dict[tuple[str, str], Any], calibrated: Rows, poses: Rows
-) -> KeyFrames:  # fmt: skip
+) -> KeyFrames:
     columns: dict[str, list[Any]] = {name: [] for name in KeyFrames._fields}
     for token in tokens:
         absent = [channel for channel in (*CAMERAS, LIDAR) if (token, channel) not in taken]

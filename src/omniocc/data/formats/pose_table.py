@@ -28,9 +28,11 @@ W_LAST = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """The order in files of TUM."""
 
 _UNITS: dict[TimeUnit, str] = {
-    "s": "s|secs?|seconds?", "ms": "ms|msecs?|milliseconds?", "us": "us|usecs?|microseconds?",
+    "s": "s|secs?|seconds?",
+    "ms": "ms|msecs?|milliseconds?",
+    "us": "us|usecs?|microseconds?",
     "ns": "ns|nsecs?|nanosecs?|nanoseconds?",
-}  # fmt: skip
+}
 _UNIT = "|".join(_UNITS.values())
 _TIME = rf"(?:time_?stamps?|times?|stamp|ts?)(?:_({_UNIT}))?|(?!.?s$)({_UNIT})"
 _BODY = r"(?:\w*pose_)?"  # ROS has field.pose.pose.position.x
@@ -44,8 +46,10 @@ _OTHERS = (
 )
 """Meanings of columns and patterns of their names, in lower case, with '_' for signs and spaces."""
 _INSTEAD: Mapping[Key, Sequence[str]] = {
-    "time": ("time", "frame"), "frame": ("frame", "file", "time"), "file": ("file", "frame"),
-}  # fmt: skip
+    "time": ("time", "frame"),
+    "frame": ("frame", "file", "time"),
+    "file": ("file", "frame"),
+}
 """Columns that serve as a key, of which the first is taken that is there."""
 
 

@@ -14,9 +14,11 @@ MARGIN_M = 0.3
 
 
 def hits_of_moving(
-    range_m: Float32[np.ndarray, " R"], labels: UInt8[np.ndarray, " R"], directions: Float32[np.ndarray, "R 3"],
+    range_m: Float32[np.ndarray, " R"],
+    labels: UInt8[np.ndarray, " R"],
+    directions: Float32[np.ndarray, "R 3"],
     boxes: Sequence[Box],
-) -> Bool[np.ndarray, " R"]:  # fmt: skip
+) -> Bool[np.ndarray, " R"]:
     """Return which rays hit an actor that moves: they end in its box, seen from above, on its class.
 
     Args:

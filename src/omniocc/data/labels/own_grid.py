@@ -83,9 +83,7 @@ class OwnGridLabels(LazyLabels):
 
     COUNTED = 1000
 
-    def __init__(
-        self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, unknown: Unknown
-    ):  # fmt: skip
+    def __init__(self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, unknown: Unknown):
         super().__init__(folder, fingerprint, geometry, num_classes, unknown)
         self.own = own
 

@@ -23,9 +23,13 @@ def append_frame(writer: SceneWriter, frame: Frame | RecordedFrame) -> None:
 
 
 def finish_scene(
-    writer: SceneWriter, rig: Rig, spec: SourceSpec, edges_deg: tuple[float, float], facts: Mapping[str, Any],
+    writer: SceneWriter,
+    rig: Rig,
+    spec: SourceSpec,
+    edges_deg: tuple[float, float],
+    facts: Mapping[str, Any],
     software: Sequence[str] = SOFTWARE,
-) -> None:  # fmt: skip
+) -> None:
     """Write the calibration, the facts about the scene and the versions of packages, and complete the scene.
 
     `edges_deg` are the elevations of the upper and lower edge of its panoramas of ranges.

@@ -53,9 +53,13 @@ class CompletionSource(OwnGridSource[Scene]):
     """A source (`SceneSource`) of numbered sequences in the frame of the velodyne; see `OwnGridSource`."""
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], image_width: int,
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         super().__init__(root, sequences, image_width, panorama, cache)
         self.sequences = {split: [name.zfill(2) for name in names] for split, names in self.sequences.items()}
 

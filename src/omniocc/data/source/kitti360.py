@@ -89,10 +89,18 @@ class KITTI360:
     """
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], cameras: Sequence[str], frame_step: int,
-        accumulate: int, volume: Mapping[str, Any] | None, masks: Sequence[MaskKind], image_width: int,
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        cameras: Sequence[str],
+        frame_step: int,
+        accumulate: int,
+        volume: Mapping[str, Any] | None,
+        masks: Sequence[MaskKind],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         if image_width < 8 or frame_step < 1 or accumulate < 0:
             given = f"{image_width}, {frame_step} and {accumulate}"
             raise ValueError(f"image_width must be at least 8, frame_step 1 and accumulate 0, got {given}")
@@ -212,11 +220,12 @@ class KITTI360Scene(DatasetScene):
         with self.naming(frame):
             return [
                 read_image(
-                    image_file(self.root, self.name, name, number), SIZE if name in RECTIFIED else (1400, 1400),
+                    image_file(self.root, self.name, name, number),
+                    SIZE if name in RECTIFIED else (1400, 1400),
                     (camera.width, camera.height),
                 )
                 for name, camera in zip(self.cameras, self.rig.cameras, strict=True)
-            ]  # fmt: skip
+            ]
 
     def cloud(self, frame: int) -> Cloud:
         """Return the points of one scan; their classes are not known."""

@@ -76,11 +76,31 @@ CLASSES = ClassTable(
 )
 """Classes of Occ3D, free first; colours of the nuScenes devkit."""
 
-LIDARSEG = class_table({
-    9: 1, 14: 2, 15: 3, 16: 3, 17: 4, 18: 5, 21: 6, 2: 7, 3: 7, 4: 7, 6: 7, 12: 8, 22: 9, 23: 10, 24: 11, 25: 12,
-    26: 13, 27: 14, 28: 15, 30: 16,
-    **dict.fromkeys((0, 1, 5, 7, 8, 10, 11, 13, 19, 20, 29, 31), 254),
-})  # fmt: skip
+LIDARSEG = class_table(
+    {
+        9: 1,
+        14: 2,
+        15: 3,
+        16: 3,
+        17: 4,
+        18: 5,
+        21: 6,
+        2: 7,
+        3: 7,
+        4: 7,
+        6: 7,
+        12: 8,
+        22: 9,
+        23: 10,
+        24: 11,
+        25: 12,
+        26: 13,
+        27: 14,
+        28: 15,
+        30: 16,
+        **dict.fromkeys((0, 1, 5, 7, 8, 10, 11, 13, 19, 20, 29, 31), 254),
+    }
+)
 """Class in the files of Occ3D for each of the 32 classes of nuScenes-lidarseg; 254: none of them, unknown."""
 
 
@@ -106,9 +126,15 @@ class Occ3DNuScenes:
     """
 
     def __init__(
-        self, root: str, version: Literal["v1.0-trainval", "v1.0-mini"], image_width: int,
-        panorama: tuple[int, int, float, float], ego_motion: bool, val_every: int, cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        version: Literal["v1.0-trainval", "v1.0-mini"],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        ego_motion: bool,
+        val_every: int,
+        cache: str | None,
+    ):
         if image_width < 8 or val_every < 2:
             raise ValueError(f"image_width must be at least 8 and val_every 2, got {image_width} and {val_every}")
         self.root, self.version = root, version

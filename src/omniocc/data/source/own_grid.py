@@ -38,9 +38,13 @@ class OwnGridSource(ABC, Generic[Scene]):
     classes: ClassVar[ClassTable]
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], image_width: int,
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         if image_width < 8 or set(sequences) != set(SPLITS):
             given = f"{image_width} and {dict(sequences)}"
             raise ValueError(f"image_width must be at least 8 and sequences need {', '.join(SPLITS)}, got {given}")

@@ -43,9 +43,14 @@ class Recorded:
     """
 
     def __init__(
-        self, root: str, splits: Splits | None = None, workers: int | None = None, cache: str | None = None,
-        masks: str | None = None, panorama: Sequence[float] | None = None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        splits: Splits | None = None,
+        workers: int | None = None,
+        cache: str | None = None,
+        masks: str | None = None,
+        panorama: Sequence[float] | None = None,
+    ):
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         if workers is not None and workers < 0:

@@ -36,10 +36,11 @@ CAMERAS = ("image_2", "image_3")
 OFF_CENTRE = 0.25
 """Distance of the principal point from the middle of an image, as a fraction of its size, in no camera of KITTI."""
 WHENCE = {
-    "calib.txt": "KITTI odometry's archive of Velodyne scans", "poses.txt": "SemanticKITTI's archive of labels",
+    "calib.txt": "KITTI odometry's archive of Velodyne scans",
+    "poses.txt": "SemanticKITTI's archive of labels",
     "voxels": "SemanticKITTI's archive of voxels",
     **dict.fromkeys(CAMERAS, "KITTI odometry's archive of colour images"),
-}  # fmt: skip
+}
 """Archive that holds each file or folder of a sequence."""
 
 
@@ -66,9 +67,14 @@ class SemanticKITTI(CompletionSource["KittiSequence"]):
     classes = SEMANTIC_KITTI
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], cameras: Sequence[str], image_width: int,
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        cameras: Sequence[str],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         super().__init__(root, sequences, image_width, panorama, cache)
         if not cameras or not set(cameras) <= set(CAMERAS):
             raise ValueError(f"cameras must be {', '.join(CAMERAS)} or both, got {list(cameras)}")

@@ -58,10 +58,14 @@ def read_index(plain: Mapping[str, Any]) -> Index:
         for key, dtype in (("offset", np.int64), ("size", np.int32), ("crc32", np.uint32))
     )
     return Index(
-        members, np.array([frame["shard"] for frame in frames], np.int32), offset, size, crc32,
+        members,
+        np.array([frame["shard"] for frame in frames], np.int32),
+        offset,
+        size,
+        crc32,
         np.array([entry["time_s"] for entry in entries], np.float64),
         np.array([entry["world_from_ego"] for entry in entries] or np.empty((0, 4, 4)), np.float64),
-    )  # fmt: skip
+    )
 
 
 def check_meta(meta: Mapping[str, Any]) -> None:

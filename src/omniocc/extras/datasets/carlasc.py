@@ -31,10 +31,18 @@ REMAP = (0, 1, 2, 3, 4, 5, 6, 6, 8, 9, 10, 2, 5, 3, 7, 3, 3, 2, 5, 3, 3, 3, 7)
 """Class of each of CARLA's 23 tags (UMich-CURLY/3DMapping, Data/dataset.py, LABELS_REMAP)."""
 TABLE = class_table(dict(enumerate(REMAP)))
 NAMES = (
-    ("Free", (255, 255, 255)), ("Building", (70, 70, 70)), ("Barrier", (190, 153, 153)), ("Other", (55, 90, 80)),
-    ("Pedestrian", (220, 20, 60)), ("Pole", (153, 153, 153)), ("Road", (128, 64, 128)), ("Ground", (81, 0, 81)),
-    ("Sidewalk", (244, 35, 232)), ("Vegetation", (107, 142, 35)), ("Vehicle", (0, 0, 142)),
-)  # fmt: skip
+    ("Free", (255, 255, 255)),
+    ("Building", (70, 70, 70)),
+    ("Barrier", (190, 153, 153)),
+    ("Other", (55, 90, 80)),
+    ("Pedestrian", (220, 20, 60)),
+    ("Pole", (153, 153, 153)),
+    ("Road", (128, 64, 128)),
+    ("Ground", (81, 0, 81)),
+    ("Sidewalk", (244, 35, 232)),
+    ("Vegetation", (107, 142, 35)),
+    ("Vehicle", (0, 0, 142)),
+)
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
 PREDICTED = class_table({row.id: row.id for row in CLASSES.rows})
 """Class of each id in files of predictions, which have our ids."""
@@ -65,9 +73,13 @@ class CarlaSC:
     """
 
     def __init__(
-        self, root: str, coordinates: Literal["cartesian", "cylindrical"], splits: Mapping[Split, str],
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        coordinates: Literal["cartesian", "cylindrical"],
+        splits: Mapping[Split, str],
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         if coordinates not in GRIDS or set(splits) != set(SPLITS):
             given = f"{coordinates} and {dict(splits)}"
             raise ValueError(f"coordinates must be of {', '.join(GRIDS)} and splits need {', '.join(SPLITS)}: {given}")

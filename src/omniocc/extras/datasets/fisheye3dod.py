@@ -32,10 +32,14 @@ LIDAR = "semantic_lidar"
 VIEWS = {
     "fisheye": ("fisheye_camera_front", "fisheye_camera_left", "fisheye_camera_right", "fisheye_camera_rear"),
     "pinhole": (
-        "nu_rgb_camera_front", "nu_rgb_camera_front_left", "nu_rgb_camera_front_right", "nu_rgb_camera_rear",
-        "nu_rgb_camera_rear_left", "nu_rgb_camera_rear_right",
+        "nu_rgb_camera_front",
+        "nu_rgb_camera_front_left",
+        "nu_rgb_camera_front_right",
+        "nu_rgb_camera_rear",
+        "nu_rgb_camera_rear_left",
+        "nu_rgb_camera_rear_right",
     ),
-}  # fmt: skip
+}
 SIZES = {"fisheye": (800, 800), "pinhole": (1280, 720)}
 """Width and height of the images, px."""
 CALIBRATION = "calib_results.txt"
@@ -71,10 +75,19 @@ class Fisheye3DOD:
     """
 
     def __init__(
-        self, root: str, towns: Mapping[Split, Sequence[str]], views: Literal["fisheye", "pinhole"], frame_step: int,
-        accumulate: int, carla_version: str, y: Literal["left", "right"], image_width: int,
-        panorama: tuple[int, int, float, float], road_z_m: float, cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        towns: Mapping[Split, Sequence[str]],
+        views: Literal["fisheye", "pinhole"],
+        frame_step: int,
+        accumulate: int,
+        carla_version: str,
+        y: Literal["left", "right"],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        road_z_m: float,
+        cache: str | None,
+    ):
         if image_width < 8 or frame_step < 1 or accumulate < 0:
             given = f"{image_width}, {frame_step} and {accumulate}"
             raise ValueError(f"image_width must be at least 8, frame_step 1 and accumulate 0, got {given}")

@@ -26,10 +26,18 @@ from omniocc.geometry import Cuboid
 from omniocc.io import parse_json, twice
 
 NAMES = (
-    ("empty", (255, 255, 255)), ("road", (128, 64, 128)), ("sidewalk", (244, 35, 232)), ("building", (70, 70, 70)),
-    ("vegetation", (107, 142, 35)), ("car", (0, 0, 142)), ("truck", (0, 0, 70)), ("bus", (0, 60, 100)),
-    ("two_wheeler", (119, 11, 32)), ("person", (220, 20, 60)), ("pole", (153, 153, 153)),
-)  # fmt: skip
+    ("empty", (255, 255, 255)),
+    ("road", (128, 64, 128)),
+    ("sidewalk", (244, 35, 232)),
+    ("building", (70, 70, 70)),
+    ("vegetation", (107, 142, 35)),
+    ("car", (0, 0, 142)),
+    ("truck", (0, 0, 70)),
+    ("bus", (0, 60, 100)),
+    ("two_wheeler", (119, 11, 32)),
+    ("person", (220, 20, 60)),
+    ("pole", (153, 153, 153)),
+)
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
 TAGS = {
     1: (1, 24),
@@ -78,10 +86,17 @@ class H3O(OwnGridSource["H3OScene"]):
     classes = CLASSES
 
     def __init__(
-        self, root: str, places: Literal["homo", "heter"], splits: Mapping[Split, str], cell_m: float,
-        y: Literal["right", "left"], image_width: int, panorama: tuple[int, int, float, float], road_z_m: float,
+        self,
+        root: str,
+        places: Literal["homo", "heter"],
+        splits: Mapping[Split, str],
+        cell_m: float,
+        y: Literal["right", "left"],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        road_z_m: float,
         cache: str | None,
-    ):  # fmt: skip
+    ):
         super().__init__(root, dict.fromkeys(SPLITS, ()), image_width, panorama, cache)
         if places not in ("homo", "heter") or y not in ("right", "left") or cell_m not in FOLDERS:
             given = f"{places}, {y} and {cell_m}"

@@ -46,9 +46,13 @@ SHAPE = (200, 200, 32)
 GRID = Cuboid(SHAPE, (-10.0, 10.0), (-10.0, 10.0), (-2.6, 0.6))
 """The voxels in the frame of the LiDAR: x forward, y left, z up; cells of .1 m."""
 NAMES = (
-    ("free", (255, 255, 255)), ("car", (0, 0, 142)), ("wall", (156, 102, 102)), ("road", (128, 64, 128)),
-    ("park", (250, 170, 160)), ("person", (220, 20, 60)),
-)  # fmt: skip
+    ("free", (255, 255, 255)),
+    ("car", (0, 0, 142)),
+    ("wall", (156, 102, 102)),
+    ("road", (128, 64, 128)),
+    ("park", (250, 170, 160)),
+    ("person", (220, 20, 60)),
+)
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
 """The ids of the files; cells that no row names are free."""
 TABLE = class_table({row.id: row.id for row in CLASSES.rows})
@@ -75,9 +79,14 @@ class ParkOcc(OwnGridSource["ParkOccScene"]):
     classes = CLASSES
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], image_width: int,
-        panorama: tuple[int, int, float, float], road_z_m: float, cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        road_z_m: float,
+        cache: str | None,
+    ):
         super().__init__(root, sequences, image_width, panorama, cache)
         self.road_z_m = road_z_m
 

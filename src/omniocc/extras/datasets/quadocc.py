@@ -31,9 +31,14 @@ SHAPE = (64, 64, 8)
 GRID = Cuboid(SHAPE, (-12.8, 12.8), (-12.8, 12.8), (-1.2, 2.0))
 """The voxels in the frame of the LiDAR: x forward, y left, z up; cells of .4 m."""
 NAMES = (
-    ("empty", (255, 255, 255)), ("vehicle", (0, 0, 142)), ("person", (220, 20, 60)), ("road", (128, 64, 128)),
-    ("building", (70, 70, 70)), ("vegetation", (107, 142, 35)), ("terrain", (152, 251, 152)),
-)  # fmt: skip
+    ("empty", (255, 255, 255)),
+    ("vehicle", (0, 0, 142)),
+    ("person", (220, 20, 60)),
+    ("road", (128, 64, 128)),
+    ("building", (70, 70, 70)),
+    ("vegetation", (107, 142, 35)),
+    ("terrain", (152, 251, 152)),
+)
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
 IDS = {255: 0, 1: 1, 4: 2, 5: 3, 8: 4, 10: 5, 12: 6}
 """Class of the ids that count: in the files 255 is EMPTY, and 0 is occupied by something that has no label."""
@@ -78,9 +83,17 @@ class QuadOcc(OwnGridSource["QuadOccScene"]):
     classes = CLASSES
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], images: Literal["unfold", "raw"], frame_step: int,
-        image_width: int, panorama: tuple[int, int, float, float], pitch_deg: float, road_z_m: float, cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        images: Literal["unfold", "raw"],
+        frame_step: int,
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        pitch_deg: float,
+        road_z_m: float,
+        cache: str | None,
+    ):
         super().__init__(root, sequences, image_width, panorama, cache)
         if images not in FILES or frame_step < 1:
             raise ValueError(f"images must be unfold or raw, and frame_step at least 1, got {images} and {frame_step}")

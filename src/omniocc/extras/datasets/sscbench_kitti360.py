@@ -72,9 +72,14 @@ class SSCBenchKITTI360(CompletionSource["SSCBenchSequence"]):
     classes = SSCBENCH
 
     def __init__(
-        self, root: str, sequences: Mapping[Split, Sequence[str]], kitti360: str | None, image_width: int,
-        panorama: tuple[int, int, float, float], cache: str | None,
-    ):  # fmt: skip
+        self,
+        root: str,
+        sequences: Mapping[Split, Sequence[str]],
+        kitti360: str | None,
+        image_width: int,
+        panorama: tuple[int, int, float, float],
+        cache: str | None,
+    ):
         super().__init__(root, sequences, image_width, panorama, cache)
         self.kitti360 = kitti360
 

@@ -36,10 +36,17 @@ ORIGIN_M = (1.6, 0.0, 1.2)
 """Our ego origin in the vehicle frame of WoodScape, whose origin is on the ground below the rear axle."""
 LENS_DEG = 95.0
 NAMES = (
-    ("sky", (225, 233, 242)), ("road", (128, 64, 128)), ("lanemarks", (157, 234, 50)), ("curb", (244, 35, 232)),
-    ("person", (220, 20, 60)), ("rider", (255, 0, 0)), ("vehicles", (0, 0, 142)), ("bicycle", (119, 11, 32)),
-    ("motorcycle", (0, 0, 230)), ("traffic_sign", (220, 220, 0)),
-)  # fmt: skip
+    ("sky", (225, 233, 242)),
+    ("road", (128, 64, 128)),
+    ("lanemarks", (157, 234, 50)),
+    ("curb", (244, 35, 232)),
+    ("person", (220, 20, 60)),
+    ("rider", (255, 0, 0)),
+    ("vehicles", (0, 0, 142)),
+    ("bicycle", (119, 11, 32)),
+    ("motorcycle", (0, 0, 230)),
+    ("traffic_sign", (220, 220, 0)),
+)
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
 """Classes of pixels. In the files 0 is void, whatever is none of the others: here unknown, and no pixel is 'sky'."""
 TABLE = class_table({0: UNKNOWN} | {number: number for number in range(1, len(NAMES))})

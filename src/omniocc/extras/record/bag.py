@@ -77,12 +77,27 @@ class RosBag(LogRecorder):
     """
 
     def __init__(
-        self, name: str, bag: str, rig: str | None, cameras: Mapping[str, str], camera_info: Mapping[str, str] | None,
-        poses: str, world_frame: str, base_frame: str, ego_from_base: Any, lidar: Mapping[str, Any] | None,
-        reference: str | None, limit_s: float, interval_s: float | None, pose_gap_s: float,
-        image_size: tuple[int, int] | None, panorama: tuple[int, int, float, float], road_z_m: float | None,
-        moving: bool | None, image_bits: int | None = None,
-    ):  # fmt: skip
+        self,
+        name: str,
+        bag: str,
+        rig: str | None,
+        cameras: Mapping[str, str],
+        camera_info: Mapping[str, str] | None,
+        poses: str,
+        world_frame: str,
+        base_frame: str,
+        ego_from_base: Any,
+        lidar: Mapping[str, Any] | None,
+        reference: str | None,
+        limit_s: float,
+        interval_s: float | None,
+        pose_gap_s: float,
+        image_size: tuple[int, int] | None,
+        panorama: tuple[int, int, float, float],
+        road_z_m: float | None,
+        moving: bool | None,
+        image_bits: int | None = None,
+    ):
         super().__init__(
             name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
         )

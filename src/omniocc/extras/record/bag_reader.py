@@ -59,9 +59,9 @@ def inflated(content: bytes, new: Callable[[], Any]) -> bytes:
 
 _BY_NAME = {"bz2": bz2.BZ2Decompressor, "lz4": LZ4FrameDecompressor, "zstd": zstd.ZstdDecompressor}
 rosbag1.decompressors.update({name: functools.partial(inflated, new=_BY_NAME[name]) for name in ("bz2", "lz4")})
-storage_mcap.DECOMPRESSORS.update({
-    name: lambda content, size, new=_BY_NAME[name]: inflated(content, new) for name in ("lz4", "zstd")
-})  # fmt: skip
+storage_mcap.DECOMPRESSORS.update(
+    {name: lambda content, size, new=_BY_NAME[name]: inflated(content, new) for name in ("lz4", "zstd")}
+)
 
 
 class BagReader:

@@ -72,13 +72,29 @@ class LogFiles(LogRecorder):
     """
 
     def __init__(
-        self, name: str, log: str, rig: str, cameras: Mapping[str, str] | None, time_unit: TimeUnit, times: str | None,
-        poses: str, poses_format: PosesFormat, poses_times: str | None, poses_time_unit: TimeUnit | None,
-        ego_from_pose_frame: Any, lidar: Mapping[str, Any] | None, reference: str | None, limit_s: float,
-        interval_s: float | None, pose_gap_s: float, image_size: tuple[int, int] | None,
-        panorama: tuple[int, int, float, float], road_z_m: float | None, moving: bool | None,
+        self,
+        name: str,
+        log: str,
+        rig: str,
+        cameras: Mapping[str, str] | None,
+        time_unit: TimeUnit,
+        times: str | None,
+        poses: str,
+        poses_format: PosesFormat,
+        poses_times: str | None,
+        poses_time_unit: TimeUnit | None,
+        ego_from_pose_frame: Any,
+        lidar: Mapping[str, Any] | None,
+        reference: str | None,
+        limit_s: float,
+        interval_s: float | None,
+        pose_gap_s: float,
+        image_size: tuple[int, int] | None,
+        panorama: tuple[int, int, float, float],
+        road_z_m: float | None,
+        moving: bool | None,
         image_bits: int | None = None,
-    ):  # fmt: skip
+    ):
         super().__init__(
             name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
         )

@@ -17,12 +17,19 @@ from omniocc.images import Depth, eight_bits
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
 TO_RGB = {
-    "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
-    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB,
-    "bayer_rggb8": cv2.COLOR_BayerRGGB2RGB, "bayer_bggr8": cv2.COLOR_BayerBGGR2RGB,
-    "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB, "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
-    "yuv422": cv2.COLOR_YUV2RGB_UYVY, "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
-}  # fmt: skip
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+    "8UC1": cv2.COLOR_GRAY2RGB,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+}
 """Conversions of the encodings of sensor_msgs that are read; rgb8 needs none."""
 WORDS = re.compile(r"(mono|rgb|bgr|rgba|bgra|bayer_(?:rggb|bggr|gbrg|grbg))(10|12|14|16)")
 """Encodings of samples in words of 16 bits: the same channels, and how many of the bits are used; 16 may be fewer."""
@@ -127,10 +134,14 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
         raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")
     if message.point_step > LONGEST_POINT:
         raise DataError(f"{where}: a point has {message.point_step:,} bytes; at most {LONGEST_POINT:,} are read")
-    dtype = np.dtype({
-        "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
-        "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,
-    })  # fmt: skip
+    dtype = np.dtype(
+        {
+            "names": list(wanted),
+            "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
+            "offsets": [fields[name].offset for name in wanted],
+            "itemsize": message.point_step,
+        }
+    )
     content = np.frombuffer(message.data, np.uint8)
     if message.row_step < message.width * message.point_step or len(content) < message.height * message.row_step:
         raise DataError(f"{where}: {len(content)} bytes are too few for {message.height}x{message.width} points")

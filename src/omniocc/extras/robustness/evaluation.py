@@ -38,9 +38,14 @@ DIGITS = 6
 
 
 def robustness_of(
-    task: OccupancyTask, data: OccupancyData, checkpoint: Checkpoint, wanted: Sequence[str], scenes: int, seed: int,
+    task: OccupancyTask,
+    data: OccupancyData,
+    checkpoint: Checkpoint,
+    wanted: Sequence[str],
+    scenes: int,
+    seed: int,
     folder: Path,
-) -> Robustness:  # fmt: skip
+) -> Robustness:
     """Return the scores of the trained task in a checkpoint under disturbances; finished parts are in `folder`.
 
     Args:

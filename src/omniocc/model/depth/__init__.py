@@ -11,6 +11,16 @@ from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.protocols import Depth, LearnedDepth, learns
 
 __all__ = [
-    "Depth", "DepthMap", "LearnedDepth", "Mono", "OmniMVS", "OmniMVS3D", "SphereLoss", "SphereRange", "Spheres",
-    "Sweep", "Truth", "learns",
-]  # fmt: skip
+    "Depth",
+    "DepthMap",
+    "LearnedDepth",
+    "Mono",
+    "OmniMVS",
+    "OmniMVS3D",
+    "SphereLoss",
+    "SphereRange",
+    "Spheres",
+    "Sweep",
+    "Truth",
+    "learns",
+]

@@ -19,7 +19,7 @@ from omniocc.model.ops.depth.projection import (
     samplers,
     similarity,
     table,
-)  # fmt: skip
+)
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm

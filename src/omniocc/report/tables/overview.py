@@ -11,9 +11,16 @@ from omniocc.run.results import EARLIER_MINUTES, MINUTES
 from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_keys, number
 
 FACTS = {
-    "seed": "seed", "preset": "preset", "data": "fingerprint of the data", "steps": "steps", MINUTES: "minutes",
-    EARLIER_MINUTES: "minutes of depth and sketch", PEAK: "peak memory, MiB", "commit": "commit", MACHINE: "machine",
-}  # fmt: skip
+    "seed": "seed",
+    "preset": "preset",
+    "data": "fingerprint of the data",
+    "steps": "steps",
+    MINUTES: "minutes",
+    EARLIER_MINUTES: "minutes of depth and sketch",
+    PEAK: "peak memory, MiB",
+    "commit": "commit",
+    MACHINE: "machine",
+}
 """Titles of recorded facts."""
 
 

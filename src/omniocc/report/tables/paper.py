@@ -153,9 +153,20 @@ def load_table(path: Path) -> PaperTable:
         compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
         of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
         table = PaperTable(
-            path.stem, content["title"], columns, order_by, rows, note, here, number_in_paper, page, compares,
-            claims, of_lengths, reasons=dict(content.get("reasons", {})),
-        )  # fmt: skip
+            path.stem,
+            content["title"],
+            columns,
+            order_by,
+            rows,
+            note,
+            here,
+            number_in_paper,
+            page,
+            compares,
+            claims,
+            of_lengths,
+            reasons=dict(content.get("reasons", {})),
+        )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
     _check(table, path)

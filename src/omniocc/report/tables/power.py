@@ -92,10 +92,13 @@ def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
 def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:
     score = figure_of(rows.get(better.run, ()), table.order_by)
     return Wanted(
-        title_of(table, better, other), table.short, table.order_by, table.shares_stages(better, other),
+        title_of(table, better, other),
+        table.short,
+        table.order_by,
+        table.shares_stages(better, other),
         table.printed_gap(better, other),
         math.nan if score is None else table.in_proportion(better, other, score.mean),
-    )  # fmt: skip
+    )
 
 
 def power_of(size: float, error: float, freedom: int, claims: int) -> float:

@@ -123,11 +123,17 @@ def paired_cells(lines: Sequence[tuple[ClaimLine, Judged]]) -> Cells:
     head = ["Claim", "Table", "Metric", "Verdict", "Paired verdict", "Gap here", "No gap: p", "Seeds in common"]
     return head, [
         [
-            line.title, line.table.short, line.judge, line.verdict, found.verdict, found.claim.gap.written,
-            p_cell(found.claim.gap.p_none, found.none), f"{found.claim.gap.freedom + 1:.0f}",
+            line.title,
+            line.table.short,
+            line.judge,
+            line.verdict,
+            found.verdict,
+            found.claim.gap.written,
+            p_cell(found.claim.gap.p_none, found.none),
+            f"{found.claim.gap.freedom + 1:.0f}",
         ]
         for line, found in lines
-    ]  # fmt: skip
+    ]
 
 
 CSV_HEAD = ["steps", "metric", "table", "claim", "seeds of the first method", "seeds of the second method", "verdict"]

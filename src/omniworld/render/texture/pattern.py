@@ -201,10 +201,25 @@ def _noise(size_m: float, least: float, gain: float, cells: int, octaves: int) -
 
 
 PAINTERS: dict[Material, Painter] = {
-    Material.ASPHALT: asphalt, Material.PAINT: paint, Material.PAVING: paving, Material.CONCRETE: concrete,
-    Material.GRASS: grass, Material.SOIL: soil, Material.BRICK: brick, Material.PLASTER: plaster,
-    Material.FACADE: plaster, Material.GLASS: glass, Material.ROOF: roof, Material.WOOD: wood,
-    Material.BARK: bark, Material.LEAVES: leaves, Material.METAL: metal, Material.CAR_PAINT: car_paint,
-    Material.RUBBER: _noise(0.6, 0.7, 0.6, 16, 3), Material.CLOTH: cloth, Material.SKIN: _noise(0.5, 0.85, 0.3, 4, 3),
-    Material.SIGN: sign, Material.LAMP: _noise(0.5, 0.9, 0.2, 6, 2),
-}  # fmt: skip
+    Material.ASPHALT: asphalt,
+    Material.PAINT: paint,
+    Material.PAVING: paving,
+    Material.CONCRETE: concrete,
+    Material.GRASS: grass,
+    Material.SOIL: soil,
+    Material.BRICK: brick,
+    Material.PLASTER: plaster,
+    Material.FACADE: plaster,
+    Material.GLASS: glass,
+    Material.ROOF: roof,
+    Material.WOOD: wood,
+    Material.BARK: bark,
+    Material.LEAVES: leaves,
+    Material.METAL: metal,
+    Material.CAR_PAINT: car_paint,
+    Material.RUBBER: _noise(0.6, 0.7, 0.6, 16, 3),
+    Material.CLOTH: cloth,
+    Material.SKIN: _noise(0.5, 0.85, 0.3, 4, 3),
+    Material.SIGN: sign,
+    Material.LAMP: _noise(0.5, 0.9, 0.2, 6, 2),
+}

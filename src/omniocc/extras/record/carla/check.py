@@ -56,9 +56,10 @@ def check_poses(frame: RawFrame, sensors: Sequence[Spec]) -> Finding:
         off_rad.append(float(np.arccos(np.clip(cosine, -1, 1))))
     holds = max(off_m) < POSE_M and max(off_rad) < POSE_RAD
     return Finding(
-        "handedness: sensors stand where they were mounted", holds,
+        "handedness: sensors stand where they were mounted",
+        holds,
         f"off by at most {100 * max(off_m):.1f} cm and {np.degrees(max(off_rad)):.2f} degrees",
-    )  # fmt: skip
+    )
 
 
 def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray, " 256"]) -> tuple[Finding, Finding]:
@@ -85,11 +86,15 @@ def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray
     middle = float(np.median(scale)) if len(scale) else np.nan
     fraction = float(equal.mean()) if len(equal) else np.nan
     return (
-        Finding("depth: images and LiDAR agree on distances", abs(middle - 1) < DEPTH_FRACTION,
-                f"median ratio {middle:.3f} over {len(scale)} points"),
-        Finding("images: they agree with LiDAR on classes", fraction > SAME_TAGS,
-                f"{fraction:.1%} of {len(equal)} points"),
-    )  # fmt: skip
+        Finding(
+            "depth: images and LiDAR agree on distances",
+            abs(middle - 1) < DEPTH_FRACTION,
+            f"median ratio {middle:.3f} over {len(scale)} points",
+        ),
+        Finding(
+            "images: they agree with LiDAR on classes", fraction > SAME_TAGS, f"{fraction:.1%} of {len(equal)} points"
+        ),
+    )
 
 
 def check_tags(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:

@@ -118,9 +118,11 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
     car = near & (labels == ACTOR_CLASSES["vehicle"]) & own.holds(points_m)  # the box holds road beside it as well
     rgb = np.einsum("cpk,cp->pk", colors.reshape(-1, 3)[lookup.corner], lookup.weight)
     return CubeImage(
-        np.where(car, np.uint8(UNKNOWN), labels), np.where(car, np.nan, range_m).astype(np.float32),
-        np.rint(rgb).astype(np.uint8), car,
-    )  # fmt: skip
+        np.where(car, np.uint8(UNKNOWN), labels),
+        np.where(car, np.nan, range_m).astype(np.float32),
+        np.rint(rgb).astype(np.uint8),
+        car,
+    )
 
 
 def smooth(inverse_depth: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4 P"]) -> Bool[np.ndarray, " P"]:
@@ -132,9 +134,14 @@ def smooth(inverse_depth: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4
 
 
 def make_frame(
-    raw: RawFrame, first_time_s: float, rig: Rig, cameras: list[Cube], origin: Cube, panorama: Equirectangular,
+    raw: RawFrame,
+    first_time_s: float,
+    rig: Rig,
+    cameras: list[Cube],
+    origin: Cube,
+    panorama: Equirectangular,
     classes: UInt8[np.ndarray, " 256"],
-) -> tuple[Frame, list[Bool[np.ndarray, "height width"]]]:  # fmt: skip
+) -> tuple[Frame, list[Bool[np.ndarray, "height width"]]]:
     """Return a frame, and the pixels of every camera that show the own car.
 
     Raises:
@@ -147,21 +154,34 @@ def make_frame(
     rgb, semantics, range_m, own_car = (
         [_image(cube, values, outside) for cube, values in zip(cameras, part, strict=True)]
         for part, outside in zip(
-            ([image.rgb for image in seen], [image.labels for image in seen], [image.range_m for image in seen],
-             [image.own_car for image in seen]),
-            (0, UNKNOWN, np.nan, False), strict=True,
+            (
+                [image.rgb for image in seen],
+                [image.labels for image in seen],
+                [image.range_m for image in seen],
+                [image.own_car for image in seen],
+            ),
+            (0, UNKNOWN, np.nan, False),
+            strict=True,
         )
-    )  # fmt: skip
+    )
     around = see(origin, raw.raw, classes, own)
     split = panorama.height * panorama.width
     points_m, labels = points_of(raw, world_from_ego, classes)
     labels = with_road_lines(points_m, labels, rig, semantics, range_m)
     keep = first_of_each(cubes(points_m), labels, np.zeros(SCRATCH, np.int32))
     frame = Frame(
-        raw.time_s - first_time_s, world_from_ego, np.stack(rgb), np.stack(semantics), np.stack(range_m),
-        around.range_m[:split].reshape(panorama.height, panorama.width), points_m[keep], labels[keep],
-        around.range_m[split:], around.labels[split:], boxes_of(raw, world_from_ego),
-    )  # fmt: skip
+        raw.time_s - first_time_s,
+        world_from_ego,
+        np.stack(rgb),
+        np.stack(semantics),
+        np.stack(range_m),
+        around.range_m[:split].reshape(panorama.height, panorama.width),
+        points_m[keep],
+        labels[keep],
+        around.range_m[split:],
+        around.labels[split:],
+        boxes_of(raw, world_from_ego),
+    )
     return frame, own_car
 
 
@@ -195,9 +215,12 @@ def scans_of(raw: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Iterator[tupl
 
 
 def with_road_lines(
-    points_m: Float32[np.ndarray, "P 3"], labels: UInt8[np.ndarray, " P"], rig: Rig, semantics: list[np.ndarray],
+    points_m: Float32[np.ndarray, "P 3"],
+    labels: UInt8[np.ndarray, " P"],
+    rig: Rig,
+    semantics: list[np.ndarray],
     range_m: list[np.ndarray],
-) -> UInt8[np.ndarray, " P"]:  # fmt: skip
+) -> UInt8[np.ndarray, " P"]:
     """Return classes in which points of the road are road lines where an image shows one at that range.
 
     CARLA's LiDARs see collision meshes, which have no markings (https://github.com/carla-simulator/carla/issues/3638).

@@ -88,16 +88,40 @@ class CarlaRecorder:
     """
 
     def __init__(
-        self, host: str, port: int, traffic_port: int, python: str | None, restart: str | None, maps: Sequence[str],
-        scenes: int, frames: int, warm_up: int, interval_s: float, weather: Sequence[str] | None, vehicles: int,
-        walkers: int, ego: str, rig: str, image_size: tuple[int, int], panorama: tuple[int, int, float, float],
-        lidars: int, camera: dict[str, Any] | None, splits: Sequence[Split], seed: int, timeout_s: float, load_s: float,
-        stuck_s: float, attempts: int,
-    ):  # fmt: skip
+        self,
+        host: str,
+        port: int,
+        traffic_port: int,
+        python: str | None,
+        restart: str | None,
+        maps: Sequence[str],
+        scenes: int,
+        frames: int,
+        warm_up: int,
+        interval_s: float,
+        weather: Sequence[str] | None,
+        vehicles: int,
+        walkers: int,
+        ego: str,
+        rig: str,
+        image_size: tuple[int, int],
+        panorama: tuple[int, int, float, float],
+        lidars: int,
+        camera: dict[str, Any] | None,
+        splits: Sequence[Split],
+        seed: int,
+        timeout_s: float,
+        load_s: float,
+        stuck_s: float,
+        attempts: int,
+    ):
         for name, value, least in (
-            ("scenes", scenes, 1), ("frames", frames, 1), ("warm_up", warm_up, 0), ("lidars", lidars, 1),
+            ("scenes", scenes, 1),
+            ("frames", frames, 1),
+            ("warm_up", warm_up, 0),
+            ("lidars", lidars, 1),
             ("attempts", attempts, 1),
-        ):  # fmt: skip
+        ):
             if value < least:
                 raise ValueError(f"{name} must be at least {least}, got {value}")
         for name, value in (("port", port), ("traffic_port", traffic_port)):
@@ -121,10 +145,20 @@ class CarlaRecorder:
         self.splits, self.attempts = tuple(splits), attempts
         self.load_s, self.silence_s = load_s, 2 * timeout_s
         self._job = {
-            "host": host, "port": port, "traffic_port": traffic_port, "connect_s": min(10.0, timeout_s),
-            "timeout_s": timeout_s, "load_s": load_s, "warm_up": warm_up, "frames": frames, "interval_s": interval_s,
-            "vehicles": vehicles, "walkers": walkers, "ego": ego, "stuck_s": stuck_s,
-        }  # fmt: skip
+            "host": host,
+            "port": port,
+            "traffic_port": traffic_port,
+            "connect_s": min(10.0, timeout_s),
+            "timeout_s": timeout_s,
+            "load_s": load_s,
+            "warm_up": warm_up,
+            "frames": frames,
+            "interval_s": interval_s,
+            "vehicles": vehicles,
+            "walkers": walkers,
+            "ego": ego,
+            "stuck_s": stuck_s,
+        }
 
     @property
     def plans(self) -> list[Plan]:
@@ -189,16 +223,25 @@ class CarlaRecorder:
     def job(self, plan: Plan) -> dict[str, Any]:
         """Return the job of the capturing process."""
         return self._job | {
-            "town": plan.town, "weather": plan.weather, "seed": plan.seed, "sensors": self.sensors(plan.seed),
-        }  # fmt: skip
+            "town": plan.town,
+            "weather": plan.weather,
+            "seed": plan.seed,
+            "sensors": self.sensors(plan.seed),
+        }
 
     def raw_frame(self, message: Message) -> RawFrame:
         """Return the frame that a message holds."""
         header = message.header
         return RawFrame(
-            header["number"], header["time_s"], header["world_from_vehicle"], header["ego_id"], header["ego_box"],
-            header["actors"], header["matrices"], message.blobs,
-        )  # fmt: skip
+            header["number"],
+            header["time_s"],
+            header["world_from_vehicle"],
+            header["ego_id"],
+            header["ego_box"],
+            header["actors"],
+            header["matrices"],
+            message.blobs,
+        )
 
     def check(self) -> list[Finding]:
         """Return what a few frames in the first town say about our assumptions; nothing is written.

@@ -19,9 +19,13 @@ CAMERAS = {
 }
 LIDAR = "sensor.lidar.ray_cast_semantic"
 EVEN_LIGHT = {
-    "exposure_mode": "manual", "motion_blur_intensity": 0, "bloom_intensity": 0, "lens_flare_intensity": 0,
-    "chromatic_aberration_intensity": 0, "lens_circle_multiplier": 0,
-}  # fmt: skip
+    "exposure_mode": "manual",
+    "motion_blur_intensity": 0,
+    "bloom_intensity": 0,
+    "lens_flare_intensity": 0,
+    "chromatic_aberration_intensity": 0,
+    "lens_circle_multiplier": 0,
+}
 """Attributes of colour cameras without which the faces of a cube differ along their seams."""
 ORIGIN = "origin"
 FINEST_RAD = math.radians(0.5)
@@ -109,9 +113,13 @@ def lidar_sensors(count: int, interval_s: float, seed: int) -> list[Spec]:
     rng = np.random.default_rng([seed, 31])
     places = rng.uniform((-SPREAD_M, -SPREAD_M, LOW_M), (SPREAD_M, SPREAD_M, HIGH_M), (count - 1, 3)).tolist()
     attributes = {
-        "channels": CHANNELS, "upper_fov": TOP_DEG, "lower_fov": BOTTOM_DEG, "range": REACH_M,
-        "rotation_frequency": 1 / interval_s, "points_per_second": round(CHANNELS * COLUMNS / interval_s),
-    }  # fmt: skip
+        "channels": CHANNELS,
+        "upper_fov": TOP_DEG,
+        "lower_fov": BOTTOM_DEG,
+        "range": REACH_M,
+        "rotation_frequency": 1 / interval_s,
+        "points_per_second": round(CHANNELS * COLUMNS / interval_s),
+    }
     return [
         {"name": f"lidar/{k}", "blueprint": LIDAR, "attributes": attributes, "pose": [x, -y, z, 0.0, 0.0, 0.0]}
         for k, (x, y, z) in enumerate([FIRST_M, *places])

@@ -67,9 +67,7 @@ def through_drops(image: Image, drops: Drops) -> Image:
     return np.rint(mixed).astype(np.uint8)
 
 
-def draw_dirt(
-    seen: Bool[np.ndarray, "H W"], percent: float, rng: np.random.Generator
-) -> Float32[np.ndarray, "H W"]:  # fmt: skip
+def draw_dirt(seen: Bool[np.ndarray, "H W"], percent: float, rng: np.random.Generator) -> Float32[np.ndarray, "H W"]:
     """Return how much of each pixel dirt hides, 0..1: more than half of it in `percent` of those that the lens sees."""
     size = seen.shape
     field = np.zeros(size, np.float32)
