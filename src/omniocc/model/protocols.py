@@ -134,14 +134,14 @@ class Backbone(Protocol):
 class Depth(Protocol):
     """Estimate a panorama of ranges in the ego frame.
 
+    An option that finds ranges where two or more cameras look says so by `COMPARES_CAMERAS = True`.
+
     Attributes:
         NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.
-        COMPARES_CAMERAS: whether it finds ranges where two or more cameras look.
         panorama: directions of its pixels.
     """
 
     NEEDS_TRUE_RANGE: ClassVar[bool]
-    COMPARES_CAMERAS: ClassVar[bool]
     panorama: Equirectangular
 
     def rig_spheres(self, rig: Rig) -> Spheres:
@@ -157,11 +157,8 @@ class Depth(Protocol):
 class LearnedDepth(Depth, Learns, Protocol):
     """A depth option with weights, trained in the depth stage.
 
-    Attributes:
-        NEEDS_CAMERA_RANGES: whether the losses use the true range of every pixel besides the panorama.
+    One whose losses use the panorama alone says so by `NEEDS_CAMERA_RANGES = False`.
     """
-
-    NEEDS_CAMERA_RANGES: ClassVar[bool]
 
     def training_terms(
         self,
@@ -313,13 +310,7 @@ class Refiner(Protocol):
 
 @runtime_checkable
 class SemanticHead(Protocol):
-    """Classify the pixels of a feature map.
-
-    Attributes:
-        CLASSIFIES: whether it does; False: there is no head.
-    """
-
-    CLASSIFIES: ClassVar[bool]
+    """Classify the pixels of a feature map; an option that is no head says so by `CLASSIFIES = False`."""
 
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
