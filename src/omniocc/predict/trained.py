@@ -150,9 +150,10 @@ class Trained:
     @cached_property
     def task(self) -> OccupancyTask:
         """Return the occupancy model with its losses and scores, in evaluation mode."""
+        model = self.occupancy  # which is built within limits of its own
         self._check(*OF_TASK)
         with building(self.path, self.checkpoint.weights):
-            task = build_task(self._parts.without_pretrained(), self.data.spec, self.occupancy)
+            task = build_task(self._parts.without_pretrained(), self.data.spec, model)
         return load_weights(task, self.checkpoint.weights, self.path).eval()
 
     @property

@@ -7,9 +7,9 @@ from omegaconf import DictConfig
 
 from omniocc.config import own_code, plain, target_of
 from omniocc.errors import UserError
-from omniocc.model.protocols import LearnedSketch, learns
+from omniocc.model.protocols import LearnedSketch
 from omniocc.run.folder import OF_MACHINES, short_hash, with_digest
-from omniocc.run.slots import sketch_learns
+from omniocc.run.slots import depth_learns, sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
@@ -85,7 +85,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     arguments = {name: sketch[name] for name in selection}
     candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])
     ranges = sketched = candidates = None
-    if _used_as_it_is(stages["depth"]) or not learns(target_of(config["depth"])):
+    if _used_as_it_is(stages["depth"]) or not depth_learns(config):
         weights = stages["depth"].get("weights")
         ranges = short_hash([VERSIONS["depth"], config["depth"], weights, *own_code(config["depth"])])
     if ranges and _used_as_it_is(stages["sketch"]):

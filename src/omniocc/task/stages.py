@@ -7,11 +7,11 @@ What networks predict that are used as they are is beside the stages, and shared
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import torch
 from filelock import FileLock, Timeout
@@ -25,6 +25,7 @@ from omniocc.classes import FREE
 from omniocc.data import CandidateCache, EvidenceCache, Needs, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SPLITS, SceneFrames
+from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
@@ -49,6 +50,7 @@ from omniocc.task.stage_keys import Keys, stage_keys, wanted_stages
 from omniocc.task.stage_task import StageTask
 from omniocc.task.start import load_first_weights, load_fitting
 
+Cache = TypeVar("Cache", bound=FrameCache)
 SHARED_AT_M = 10.0
 """Distance at which the fraction of the view is stated that two or more cameras have in common."""
 LITTLE_SHARED = 0.05
@@ -104,6 +106,12 @@ class EarlierStage(Stage):
     def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:  # noqa: D102
         return load_first_weights(task.model, self.recipe, self.NAME, checkpoint, task.config)
 
+    def store(self, kind: type[Cache], shape: Sequence[int], own: Path, name: str, of_all: str | None) -> Cache:
+        """Return a store of arrays of every frame: in the folder `own`, or that of the hash `of_all` for any data."""
+        if of_all is None:
+            return kind(own, shape)
+        return kind(self.stages / f"{name}-{of_all}", shape, self.data.source.fingerprint)
+
     def weights(self) -> dict[str, Tensor]:
         """Return the trained weights of the model."""
         return load_checkpoint(self.folder / LAST).model_weights
@@ -127,10 +135,8 @@ class DepthStage(EarlierStage):
     @cached_property
     def ranges(self) -> RangeCache:
         """Return the store of the ranges of every frame."""
-        shape, of_all = (self.panorama.height, self.panorama.width), self.keys.ranges_of_all
-        if of_all is None:
-            return RangeCache(self.folder / "ranges", shape)
-        return RangeCache(self.stages / f"ranges-{of_all}", shape, self.data.source.fingerprint)
+        shape = self.panorama.height, self.panorama.width
+        return self.store(RangeCache, shape, self.folder / "ranges", "ranges", self.keys.ranges_of_all)
 
     def task(self, rig: Rig) -> DepthTask:  # noqa: D102
         model, recipe, edges_m = self.parts.depth(), self.recipe, self.data.spec.range_edges_m
@@ -190,20 +196,16 @@ class SketchStage(EarlierStage):
     @cached_property
     def candidates(self) -> CandidateCache:
         """Return the store of the candidates of every frame."""
-        shape, of_all = self.data.geometry.shape, self.keys.candidates_of_all
-        if of_all is None:
-            return CandidateCache(self.results, shape)
-        return CandidateCache(self.stages / f"candidates-{of_all}", shape, self.data.source.fingerprint)
+        shape = self.data.geometry.shape
+        return self.store(CandidateCache, shape, self.results, "candidates", self.keys.candidates_of_all)
 
     @cached_property
     def evidence(self) -> EvidenceCache | None:
         """Return the store of the evidence of every frame; None where nothing reads it."""
-        shape, of_all = self.data.geometry.shape, self.keys.sketched_of_all
         if not uses_evidence(self.parts.cfg):
             return None
-        if of_all is None:
-            return EvidenceCache(self.folder / "evidence", shape)
-        return EvidenceCache(self.stages / f"evidence-{of_all}", shape, self.data.source.fingerprint)
+        shape = self.data.geometry.shape
+        return self.store(EvidenceCache, shape, self.folder / "evidence", "evidence", self.keys.sketched_of_all)
 
     def task(self, rig: Rig) -> SketchTask:  # noqa: D102
         edges_m = self.data.spec.range_edges_m
