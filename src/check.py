@@ -8,7 +8,7 @@ from omniocc.check import read_back
 from omniocc.config import compose_config
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
-from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
 
 CONF = Path(__file__).parents[1] / "conf"
 

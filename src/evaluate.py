@@ -18,7 +18,7 @@ from omniocc.data.origins import ORIGINS
 from omniocc.evaluate import Evaluation
 from omniocc.extras.robustness.command import score_robustness
 from omniocc.extras.robustness.parts import UNSEEN, parts_of
-from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
 
 
 def parser_of() -> argparse.ArgumentParser:

@@ -6,7 +6,7 @@ from omegaconf import DictConfig
 
 from omniocc.export import export_files
 from omniocc.predict.options import load_rig, require
-from omniocc.run.script import quiet_libraries, script
+from omniocc.runs.script import quiet_libraries, script
 
 
 @script("export")

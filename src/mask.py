@@ -5,7 +5,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from omniocc.predict.options import require
-from omniocc.run.script import script
+from omniocc.runs.script import script
 from omniworld.mask import mask_own_car
 
 

@@ -13,7 +13,7 @@ from omniocc.extras.viewer.command import shown
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.submission import changed_places, predict_submission
-from omniocc.run.script import quiet_libraries, script
+from omniocc.runs.script import quiet_libraries, script
 
 
 @script("predict_depth")

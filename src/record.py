@@ -10,9 +10,9 @@ from omniocc.data.source import SPLITS
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.folder import SceneFolder
 from omniocc.errors import UserError
-from omniocc.extras.record import Checks
+from omniocc.extras.recorders import Checks
 from omniocc.parts import Parts
-from omniocc.run.script import quiet_libraries, script
+from omniocc.runs.script import quiet_libraries, script
 
 
 @script("record")

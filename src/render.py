@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from omniocc.config import check
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.run.script import script
+from omniocc.runs.script import script
 from omniworld import VirtualWorld
 from omniworld.command import use_world
 

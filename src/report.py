@@ -22,7 +22,7 @@ from omniocc.report.sweep import read_sweeps
 from omniocc.report.tables.compare import comparison_text
 from omniocc.report.tables.formats import parts_text
 from omniocc.report.write import write_documentation, write_report
-from omniocc.run.script import lines_not_tracebacks
+from omniocc.runs.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
 ROOT = Path(__file__).parents[1]

@@ -2,8 +2,8 @@
 
 from omegaconf import DictConfig
 
-from omniocc.run.script import quiet_libraries, script
-from omniocc.train import train
+from omniocc.runs.script import quiet_libraries, script
+from omniocc.train.command import train
 
 
 @script("train")

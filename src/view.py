@@ -4,7 +4,7 @@ from omegaconf import DictConfig
 
 from omniocc.extras.viewer.command import view
 from omniocc.extras.viewer.options import options_of
-from omniocc.run.script import quiet_libraries, script
+from omniocc.runs.script import quiet_libraries, script
 
 
 @script("view")

@@ -29,16 +29,16 @@ sys.path[:0] = [
     *(
         str(TESTS / folder)
         for folder in (
-            "run/wandb",
+            "runs/wandb",
             "report/wandb",
-            "world/render",
-            "task",
+            "omniworld/render",
+            "train",
             "rayiou",
             "model/lifter",
             "data/formats",
-            "viewer",
-            "viewer/watch",
-            "viewer/timeline",
+            "extras/viewer",
+            "extras/viewer/watch",
+            "extras/viewer/timeline",
             "browser",
         )
     ),

@@ -7,7 +7,7 @@ import pytest
 from nuscenes_files import write_nuscenes
 from scripts import run_script
 
-from omniocc.run.results import load_results
+from omniocc.runs.results import load_results
 
 SMALL = ("data=occ3d_nuscenes", "data.source.val_every=2", "preset=smoke")
 

@@ -12,8 +12,8 @@ from omegaconf import OmegaConf
 
 from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of, plain
 from omniocc.geometry import Cylinder
-from omniocc.run.folder import run_hash
-from omniocc.task.stage_keys import stage_keys
+from omniocc.runs.folder import run_hash
+from omniocc.train.stage_keys import stage_keys
 
 CONF = Path(__file__).parents[1] / "conf"
 OTHERS = ("preset", "ablation", "demo", "trainer", "hydra")
@@ -111,7 +111,7 @@ def test_missing_argument_and_broken_interpolation_are_named():
     cfg = OmegaConf.create(
         {
             "part": {
-                "_target_": "omniocc.task.AdamW",
+                "_target_": "omniocc.train.AdamW",
                 "learning_rate": "${nowhere}",
                 "warmup_steps": 3,
                 "weight_decay": 0.1,
@@ -124,7 +124,7 @@ def test_missing_argument_and_broken_interpolation_are_named():
         line == "part.learning_rate: refers to nowhere, which does not exist with the chosen options"
         for line in caught.value.problems
     )
-    assert any(line == "part.min_lr_ratio: omniocc.task.AdamW needs it" for line in caught.value.problems)
+    assert any(line == "part.min_lr_ratio: omniocc.train.AdamW needs it" for line in caught.value.problems)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])

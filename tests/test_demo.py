@@ -8,9 +8,9 @@ import torch
 from omegaconf import OmegaConf
 
 from omniocc.config import check_root, compose_plain
-from omniocc.run.results import EARLIER_MINUTES, MINUTES, save_results
-from omniocc.run.table import BASELINE, BOUND
-from omniocc.run.weights import pack_weights
+from omniocc.runs.results import EARLIER_MINUTES, MINUTES, save_results
+from omniocc.runs.table import BASELINE, BOUND
+from omniocc.runs.weights import pack_weights
 
 ROOT = Path(__file__).parents[1]
 
@@ -22,7 +22,7 @@ METRICS = {f"{row}/{key}": 0.5 for row in ("test", "prior", "label") for key in 
 def weights(tmp_path, monkeypatch):
     """Weights of the name that the demo looks for."""
     folder = tmp_path / "weights"
-    monkeypatch.setattr("omniocc.run.weights.SHIPPED", folder)
+    monkeypatch.setattr("omniocc.runs.weights.SHIPPED", folder)
     monkeypatch.setattr(demo, "SHIPPED", folder)
     pack_weights(
         folder / "tiny.safetensors", "occupancy", {}, {"a": torch.ones(2)}, {MINUTES: 200, EARLIER_MINUTES: 40}
@@ -50,7 +50,7 @@ def ran(tmp_path, monkeypatch):
 
 
 def test_without_weights_every_stage_is_trained(ran, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("omniocc.run.weights.SHIPPED", tmp_path / "none")
+    monkeypatch.setattr("omniocc.runs.weights.SHIPPED", tmp_path / "none")
     demo.main("tiny", full=False)
     folder = tmp_path / "root" / "runs" / "demo-1"
     view = ["view.py", f"run={folder}", "page=true", "limit=8", f"output={folder}/view.html"]

@@ -6,7 +6,7 @@ import pytest
 
 from evaluate import main, parser_of
 from omniocc.evaluate import Evaluation, folder_of
-from omniocc.run.weights import SHIPPED
+from omniocc.runs.weights import SHIPPED
 
 
 def test_words_are_checkpoints_settings_and_what_is_asked_for(tmp_path):

@@ -12,10 +12,10 @@ from omegaconf import OmegaConf
 from omniocc.config import build, check_root, compose_plain
 from omniocc.errors import UserError
 from omniocc.report.card import card, frame_rows
-from omniocc.run.checkpoint import load_checkpoint
-from omniocc.run.checkpoint_io import LAST, write_checkpoint
-from omniocc.run.results import save_results
-from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights, shipped
+from omniocc.runs.checkpoint import load_checkpoint
+from omniocc.runs.checkpoint_io import LAST, write_checkpoint
+from omniocc.runs.results import save_results
+from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights, shipped
 
 ROOT = Path(__file__).parents[1]
 NAMES = sorted(path.stem for path in (ROOT / "tools" / "weights").glob("*.yaml"))

@@ -16,13 +16,13 @@ from omniocc.data.formats.index import Index
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SceneWriter, digest
 from omniocc.errors import DataError, UserError
-from omniocc.extras.record.scene import check_name
+from omniocc.extras.recorders.log_scene import check_name
 from omniocc.io import checked_name
 from omniocc.report.runs import read_runs
-from omniocc.run.folder import open_run
-from omniocc.run.results import save_results
-from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
-from omniocc.run.wandb import Loggers
+from omniocc.runs.folder import open_run
+from omniocc.runs.results import save_results
+from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
+from omniocc.runs.wandb import Loggers
 
 ROOT = Path(__file__).parents[1]
 WRONG = [

@@ -5,9 +5,9 @@ import torch
 
 from omniocc.config import build
 from omniocc.parts import Parts
-from omniocc.task import Muon
-from omniocc.task.build import build_task
-from omniocc.task.scores import Scores
+from omniocc.train import Muon
+from omniocc.train.build import build_task
+from omniocc.train.scores import Scores
 
 MOST_STEPS = 600
 CHECK_EVERY = 25

@@ -16,7 +16,7 @@ from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
-from omniocc.run.checkpoint import CONFIG, STAGE
+from omniocc.runs.checkpoint import CONFIG, STAGE
 
 SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
 

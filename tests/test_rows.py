@@ -13,7 +13,7 @@ from omniocc.io import YAML
 from omniocc.report import rows
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
-from omniocc.run.rows import TABLES, known_rows, table_files
+from omniocc.runs.rows import TABLES, known_rows, table_files
 
 CONF = Path(__file__).parents[1] / "conf"
 ROWS = known_rows(CONF, table_files(CONF / TABLES))

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scripts import run_script
 
-from omniocc.run.rows import STEPS, TABLES, known_rows, table_files
+from omniocc.runs.rows import STEPS, TABLES, known_rows, table_files
 
 CONF = Path(__file__).parents[1] / "conf"
 ROWS = {

@@ -13,11 +13,11 @@ from make_weights import config_of, folder_of
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.run.folder import IMAGES, METRICS, PAGE
-from omniocc.run.results import EARLIER_MINUTES, MINUTES, load_results
-from omniocc.run.script import quiet_libraries
-from omniocc.run.table import BASELINE, BOUND, compared, in_columns, markdown
-from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped
+from omniocc.runs.folder import IMAGES, METRICS, PAGE
+from omniocc.runs.results import EARLIER_MINUTES, MINUTES, load_results
+from omniocc.runs.script import quiet_libraries
+from omniocc.runs.table import BASELINE, BOUND, compared, in_columns, markdown
+from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped
 
 ROOT = Path(__file__).parents[1]
 PRESET, WEIGHTS = "tiny", "tiny"

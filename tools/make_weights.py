@@ -26,14 +26,14 @@ from omniocc.metric import DepthMetrics
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.report.card import card
-from omniocc.run.checkpoint import load_checkpoint
-from omniocc.run.checkpoint_io import BEST, LAST
-from omniocc.run.folder import METRICS, run_hash
-from omniocc.run.results import EARLIER_MINUTES, MINUTES, load_results
-from omniocc.run.script import quiet_libraries
-from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
-from omniocc.task.depth import FARTHEST_M
-from omniocc.task.stage_keys import stage_keys
+from omniocc.runs.checkpoint import load_checkpoint
+from omniocc.runs.checkpoint_io import BEST, LAST
+from omniocc.runs.folder import METRICS, run_hash
+from omniocc.runs.results import EARLIER_MINUTES, MINUTES, load_results
+from omniocc.runs.script import quiet_libraries
+from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
+from omniocc.train.depth import FARTHEST_M
+from omniocc.train.stage_keys import stage_keys
 from omniworld import VirtualWorld
 
 ROOT = Path(__file__).parents[1]

@@ -19,8 +19,8 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
 from omniocc.predict import load, predict_depth
 from omniocc.predict.input.images import find_frames, read_frame, resized_to_width
-from omniocc.run.script import quiet_libraries
-from omniocc.run.table import markdown
+from omniocc.runs.script import quiet_libraries
+from omniocc.runs.table import markdown
 
 CLOTH_M = ((-5.53, 4.45), (-3.0, 3.0))
 """Ends of the cloth along x and y of the rig's frame."""

@@ -23,8 +23,8 @@ from omniocc.data.formats.poses import rigid
 from omniocc.errors import UserError
 from omniocc.predict import load, predict_depth
 from omniocc.predict.input.images import resized_to_width
-from omniocc.run.script import quiet_libraries
-from omniocc.run.table import markdown
+from omniocc.runs.script import quiet_libraries
+from omniocc.runs.table import markdown
 
 NEAREST_M = 2.5
 """Points nearer than this, which may be of the own car, are left out."""

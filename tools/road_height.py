@@ -31,8 +31,8 @@ from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.predict import load
 from omniocc.predict.road import flat_road_m, pulled_to_road
-from omniocc.run.script import quiet_libraries
-from omniocc.run.table import markdown
+from omniocc.runs.script import quiet_libraries
+from omniocc.runs.table import markdown
 from omniworld.drawn import rig_at, ring_places
 
 SEEDS = (100, 101, 102, 103)

@@ -28,8 +28,8 @@ from omniocc.model.depth import DepthMap
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.progress import Progress
-from omniocc.run.script import quiet_libraries
-from omniocc.task.depth import FARTHEST_M, judged
+from omniocc.runs.script import quiet_libraries
+from omniocc.train.depth import FARTHEST_M, judged
 from omniworld.drawn import car_places, rig_at, ring_places
 
 ROOT = Path(__file__).parents[1]

@@ -5,9 +5,9 @@ from pathlib import Path
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.source import SPLITS
+from omniocc.draw import save_png
+from omniocc.draw.data_sheet import data_sheet
 from omniocc.errors import DataError
-from omniocc.view import save_png
-from omniocc.view.data_sheet import data_sheet
 
 
 def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None) -> int:

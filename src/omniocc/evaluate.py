@@ -14,15 +14,15 @@ from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
-from omniocc.run.folder import IMAGES, git_commit
-from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
-from omniocc.run.trust import CONF
-from omniocc.run.weights import SHIPPED, find_checkpoint
-from omniocc.task import StepProgress
-from omniocc.task.audit import audit
-from omniocc.task.images import OccupancyImages
-from omniocc.task.scene_counts import save_by_scene
-from omniocc.task.submission import score_files
+from omniocc.runs.folder import IMAGES, git_commit
+from omniocc.runs.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
+from omniocc.runs.trust import CONF
+from omniocc.runs.weights import SHIPPED, find_checkpoint
+from omniocc.train import StepProgress
+from omniocc.train.audit import audit
+from omniocc.train.images import OccupancyImages
+from omniocc.train.scene_counts import save_by_scene
+from omniocc.train.submission import score_files
 
 
 @dataclass(frozen=True)

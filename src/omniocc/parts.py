@@ -66,7 +66,7 @@ class Parts:
         return build(self.cfg.loss), build(self.cfg.optimizer), build(self.cfg.augment)
 
     def recipe(self, stage: str) -> Any:
-        """Return how a stage is trained, `omniocc.task.Recipe`."""
+        """Return how a stage is trained, `omniocc.train.Recipe`."""
         return build(self.cfg.stages[stage])
 
     def trainer(self, **changes: Any) -> "Trainer":
@@ -78,7 +78,7 @@ class Parts:
         return [build(callback) for callback in self.cfg.callbacks.values()]
 
     def loggers(self) -> Any:
-        """Return what makes the loggers of a run, `omniocc.run.wandb.loggers.Loggers`."""
+        """Return what makes the loggers of a run, `omniocc.runs.wandb.loggers.Loggers`."""
         return build(self.cfg.logger)
 
     def recorder(self) -> Any:

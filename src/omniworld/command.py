@@ -94,7 +94,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Write the page beside the existing scenes."""
-    from omniocc.run.folder import PAGE
+    from omniocc.runs.folder import PAGE
     from omniworld.report.page import save_page  # not needed to render
 
     missing = world.missing(plans)

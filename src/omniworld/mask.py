@@ -10,12 +10,12 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import SceneReader
 from omniocc.data.store.files import list_folders
 from omniocc.data.store.shard import META
+from omniocc.draw import save_png
+from omniocc.draw.sheet import camera_rows, inner_width, stack
 from omniocc.errors import UserError
 from omniocc.io import check_regular
 from omniocc.predict.options import load_rig
 from omniocc.progress import Progress
-from omniocc.view import save_png
-from omniocc.view.sheet import camera_rows, inner_width, stack
 from omniworld.mesh.mesh import Mesh
 from omniworld.render.own_car import Masks, car_under, grown, masking, own_car_pixels, read_obj
 

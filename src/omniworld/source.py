@@ -10,10 +10,9 @@ from omniocc import seeding
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.recording.scene import SOFTWARE, append_frame, finish_scene
-from omniocc.data.recording.spec import RENDERED_REACH_M, recorded_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import holds, is_url
+from omniocc.data.store.meta import RENDERED_REACH_M, SOFTWARE, append_frame, finish_scene, recorded_spec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, SceneWriter, digest
 from omniocc.errors import DataError

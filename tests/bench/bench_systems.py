@@ -20,8 +20,8 @@ from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.sketch import Dense, Random
-from omniocc.run.cost import count_gflop
-from omniocc.run.memory import keep_freed_memory
+from omniocc.runs.cost import count_gflop
+from omniocc.runs.memory import keep_freed_memory
 
 SYSTEMS = {
     "ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet", "FlashOcc": "flashocc",

@@ -35,8 +35,8 @@ from omniocc.model.ops.depth.projection import Projection, alternate_cameras, fi
 from omniocc.model.ops.padding import pad3d
 from omniocc.model.ops.visible import every_cell
 from omniocc.model.sketch import Dense
-from omniocc.run.folder import git_commit
-from omniocc.run.memory import keep_freed_memory
+from omniocc.runs.folder import git_commit
+from omniocc.runs.memory import keep_freed_memory
 
 ROOT = Path(__file__).parents[2]
 PUBLIC_RAYIOU = 29.0

@@ -21,7 +21,7 @@ from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.extras.viewer.page import write_page
 from omniocc.extras.viewer.scenes import recorded_scenes
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.run.table import markdown
+from omniocc.runs.table import markdown
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "browser"))
 from chromium import ARGUMENTS, find_chromium, processor_s

@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from omniocc.run.rows import TABLES, known_rows
+from omniocc.runs.rows import TABLES, known_rows
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"

@@ -11,8 +11,8 @@ from chromium import processor_s
 from made_page import CYLINDER, EVIL, RAYIOU, RUNS, SCENES, made_frames, made_shown, rig, street
 
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
+from omniocc.draw.bev import ERRORS
 from omniocc.extras.viewer.page import write_page
-from omniocc.view.bev import ERRORS
 
 pytestmark = pytest.mark.browser
 LOAD_S = 3.0

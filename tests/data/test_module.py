@@ -10,7 +10,7 @@ from omniocc.data.labels.survival import lost_line
 from omniocc.data.source import BenchmarkFrame
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder, resample
-from omniocc.task.scores import Scores, within_reach
+from omniocc.train.scores import Scores, within_reach
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
 HIGH = Cylinder(shape=(4, 6, 1), radius_m=(0.0, 25.6), height_m=(-1.0, 5.4))

@@ -13,8 +13,8 @@ from fake_scene import FakeWorld
 import omniocc
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.draw.ranges import SKY
 from omniocc.geometry import Cylinder
-from omniocc.view.ranges import SKY
 from omniworld.class_fractions import PUBLISHED_PERCENT
 from omniworld.report.page import UNMEASURED, range_image, save_page
 

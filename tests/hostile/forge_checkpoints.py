@@ -18,7 +18,7 @@ from mutate import BROKEN, DAMAGED
 from safetensors.torch import save
 from sandbox import Box, Case, Opening, some
 
-from omniocc.run.weights import FORMAT, digest_of
+from omniocc.runs.weights import FORMAT, digest_of
 
 KIND = "checkpoints"
 SLOTS = ("model.backbone", "model.sketch.depth.loss", "model.lifter", "loss.voxel.ce", "optimizer", "augment", "data")
@@ -140,13 +140,13 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "omegaconf-load": call("omegaconf.OmegaConf.load", str(box.neighbour / "notes.txt")),
         "omegaconf-save": call("omegaconf.OmegaConf.save", {"a": 1}, mark),
         "own-import-os": call("omniocc.io.os.system", shell), "own-import-path": call("omniocc.io.Path", mark),
-        "own-import-subprocess": call("omniocc.run.fork_server.subprocess.Popen", ["touch", mark]),
+        "own-import-subprocess": call("omniocc.runs.fork_server.subprocess.Popen", ["touch", mark]),
         "own-function-atomic-write": call("omniocc.io.atomic_write", at_place, "text"),
         "own-function-build": call("omniocc.config.build", call("os.system", shell)),
         "own-function-load": call("omniocc.load", str(path)),
-        "fork-server": {"_target_": "omniocc.run.fork_server.ForkServer", "script": str(evil), "log": f"{mark}.log"},
+        "fork-server": {"_target_": "omniocc.runs.fork_server.ForkServer", "script": str(evil), "log": f"{mark}.log"},
         "fork-server-of-itself": {
-            "_target_": "omniocc.run.fork_server.ForkServer", "script": str(path), "log": f"{mark}.log"
+            "_target_": "omniocc.runs.fork_server.ForkServer", "script": str(path), "log": f"{mark}.log"
         },
         "scene-writer": {"_target_": "omniocc.data.store.shard.SceneWriter", "folder": mark},
         "watch-server": {"_target_": "omniocc.extras.viewer.watch.server.Server", "runs": str(box.given), "port": 0},
@@ -155,13 +155,13 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
             "folder": f"filecache::{evil.as_uri()}?cache_storage={mark}",
         },
         "files-object": call("omniocc.data.store.files.Files", folder=f"simplecache::{box.given.as_uri()}"),
-        "loggers": call("omniocc.run.wandb.Loggers", project="x", group="x", mode="online", tags=[]),
-        "curves": {"_target_": "omniocc.run.wandb.loggers.WandbCurves", "save_dir": mark},
+        "loggers": call("omniocc.runs.wandb.Loggers", project="x", group="x", mode="online", tags=[]),
+        "curves": {"_target_": "omniocc.runs.wandb.loggers.WandbCurves", "save_dir": mark},
         "carla": {
-            "_target_": "omniocc.extras.record.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)
+            "_target_": "omniocc.extras.recorders.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)
         },
-        "log-files": {"_target_": "omniocc.extras.record.files.LogFiles", "name": "train-0", "log": str(box.given)},
-        "checkpoint-io": {"_target_": "omniocc.run.checkpoint_io.AtomicCheckpointIO"},
+        "log-files": {"_target_": "omniocc.extras.recorders.files.LogFiles", "name": "train-0", "log": str(box.given)},
+        "checkpoint-io": {"_target_": "omniocc.runs.checkpoint_io.AtomicCheckpointIO"},
         "launcher": {"_target_": "hydra_plugins.process_launcher.launcher.ProcessLauncher"},
         "other-slot": {"_target_": "omniocc.model.refiner.NoRefiner"},
         "other-slot-sketch": {"_target_": "omniocc.model.sketch.Dense"},

@@ -12,7 +12,7 @@ from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
 from omniocc.errors import UserError
-from omniocc.run.rows import jobs_of, known_rows, table_files
+from omniocc.runs.rows import jobs_of, known_rows, table_files
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"

@@ -25,8 +25,8 @@ from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.input.sequence import find_scenes
 from omniocc.predict.occupancy import options_of, other_heights, predict_occupancy
-from omniocc.run.checkpoint import CONFIG, STAGE
-from omniocc.task.scores import Scores
+from omniocc.runs.checkpoint import CONFIG, STAGE
+from omniocc.train.scores import Scores
 
 ROOT = Path(__file__).parents[2]
 FRAMES = [f"{k:06d}" for k in range(5)]

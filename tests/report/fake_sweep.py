@@ -9,10 +9,10 @@ import torch
 import yaml
 
 from omniocc.classes import FREE, WORLD_CLASSES
+from omniocc.draw import SheetParts, comparison_parts, comparison_sheet, save_png
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.run.folder import PAGE
-from omniocc.run.results import CANDIDATES, save_results
-from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
+from omniocc.runs.folder import PAGE
+from omniocc.runs.results import CANDIDATES, save_results
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
@@ -32,7 +32,7 @@ def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
 
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
-    """Save a sheet and its parts as `omniocc.task.images` does."""
+    """Save a sheet and its parts as `omniocc.train.images` does."""
     (folder / "parts" / SHEET).mkdir(parents=True)
     save_png(folder / f"{SHEET}.png", comparison_sheet(parts, WORLD_CLASSES, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():

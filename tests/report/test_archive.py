@@ -15,7 +15,7 @@ from omniocc.report import archive
 from omniocc.report.archive import archive_of, files_of, folder_of, read_archive
 from omniocc.report.keep import keep_records
 from omniocc.report.runs import read_runs
-from omniocc.run.results import FINISHED, utc_text
+from omniocc.runs.results import FINISHED, utc_text
 
 NAMES = ("ours-00000001", "ours-00000002", "dense-00000001", "cuboid-00000001")
 

@@ -9,10 +9,10 @@ import pytest
 from omniocc.errors import UserError
 from omniocc.report.keep import keep_records
 from omniocc.report.runs import read_runs
-from omniocc.run.curves import read_curve
-from omniocc.run.results import FINISHED, FROM_TRAJECTORY, OVERRIDES, save_results, utc_text
-from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
-from omniocc.run.scenes import save_scenes
+from omniocc.runs.curves import read_curve
+from omniocc.runs.results import FINISHED, FROM_TRAJECTORY, OVERRIDES, save_results, utc_text
+from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
+from omniocc.runs.scenes import save_scenes
 
 
 def test_every_figure_and_curve_can_be_read_from_what_is_kept(runs, tmp_path):

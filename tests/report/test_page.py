@@ -17,7 +17,7 @@ import yaml
 from fake_sweep import report
 
 from omniocc.report.sweep import read_sweeps
-from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
+from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,7 +9,7 @@ import yaml
 
 from omniocc.report.runs import known_figures, read_runs
 from omniocc.report.selection import by_row, comparable, mixtures, settings_of
-from omniocc.run.results import CANDIDATES
+from omniocc.runs.results import CANDIDATES
 
 
 def comparable_of(folder):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from omniocc.progress import STATUS_FILE, Status, read_status
-from omniocc.run.fork_server import end_with_parent
+from omniocc.runs.fork_server import end_with_parent
 
 TAIL_BYTES = 4096
 FAILURE_LINES = 12

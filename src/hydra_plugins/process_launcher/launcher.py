@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from hydra_plugins.process_launcher.job import Job, Starter, file_name, label_of, last_lines, start_command
 from omniocc.progress import clock
-from omniocc.run.fork_server import ForkServer
+from omniocc.runs.fork_server import ForkServer
 
 POLL_S = 0.5
 SEPARATOR = " | "  # between the jobs of the progress line; on a terminal each has a line of its own

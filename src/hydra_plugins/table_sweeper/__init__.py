@@ -9,7 +9,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import OmegaConf
 
 from omniocc.errors import UserError
-from omniocc.run.rows import TABLES, jobs_of, known_rows, table_files
+from omniocc.runs.rows import TABLES, jobs_of, known_rows, table_files
 
 ROW = "+row"
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.config import check
+from omniocc.draw import predicted_sheet
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
@@ -22,7 +23,6 @@ from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import load
-from omniocc.view import predicted_sheet
 
 ShowRanges = Callable[[Frame, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
 """Shows the panorama of one frame: given the frame, its images, their rig, the ranges and their directions."""

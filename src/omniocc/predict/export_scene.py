@@ -8,12 +8,12 @@ import torch
 
 from omniocc.data import SceneReader
 from omniocc.data.store.shard import META
+from omniocc.draw.canvas import encoded
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.predict.input.poses import write_poses
 from omniocc.predict.input.sequence import RecordedSequence
-from omniocc.run.script import lines_not_tracebacks
-from omniocc.view.canvas import encoded
+from omniocc.runs.script import lines_not_tracebacks
 
 RIG, POSES = "rig.yaml", "poses.csv"
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from torch import Tensor
 
 from omniocc.batch import Truth
+from omniocc.draw import save_png
+from omniocc.draw.voxel_sheet import RangePanorama, occupancy_sheet
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, raise_poses
@@ -26,9 +28,7 @@ from omniocc.predict.predictor import STEPS, Images, Input, Prediction, Predicto
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.progress import Progress, clock
-from omniocc.task.scores import Scores
-from omniocc.view import save_png
-from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
+from omniocc.train.scores import Scores
 
 ShowFrame = Callable[["Job", FrameSequence, int, Images, Prediction, Truth | None], None]
 """Shows one frame: given the job, its sequence and index, its images, its prediction, and the truth if there is any."""

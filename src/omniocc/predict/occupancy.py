@@ -29,9 +29,9 @@ from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import load
 from omniocc.predict.training_data import TrainingData
-from omniocc.run.results import PROTOCOL, save_results
-from omniocc.run.table import summary
-from omniocc.task.scores import Scores
+from omniocc.runs.results import PROTOCOL, save_results
+from omniocc.runs.table import summary
+from omniocc.train.scores import Scores
 
 SAME_HEIGHT_M = 0.1
 """Heights of the road that differ by less are taken for the same."""

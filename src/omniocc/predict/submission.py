@@ -9,7 +9,7 @@ from omniocc.data.store.shard import sha256
 from omniocc.predict.options import choose_device
 from omniocc.predict.output.manifest import write_manifest
 from omniocc.predict.trained import load
-from omniocc.task.submission import frames_of, write_files
+from omniocc.train.submission import frames_of, write_files
 
 
 def changed_places(root: str | None, sequences: Any, split: Split) -> list[str]:

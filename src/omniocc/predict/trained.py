@@ -28,7 +28,7 @@ from omniocc.predict.predictor import STEPS, Images, Input, Predictor, predict_d
 from omniocc.predict.road import WITHIN, on_road
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
-from omniocc.run.checkpoint import (
+from omniocc.runs.checkpoint import (
     Checkpoint,
     check_parts,
     load_checkpoint,
@@ -36,9 +36,9 @@ from omniocc.run.checkpoint import (
     part_weights,
     with_overrides,
 )
-from omniocc.run.trust import building
-from omniocc.task import OccupancyTask
-from omniocc.task.build import build_task
+from omniocc.runs.trust import building
+from omniocc.train import OccupancyTask
+from omniocc.train.build import build_task
 
 PLACES = ("root", "cache")
 """Arguments of a data source that name folders or URLs."""

@@ -8,9 +8,9 @@ from omegaconf import OmegaConf
 
 from omniocc.camera import Pinhole, Rig
 from omniocc.config import OWN_PACKAGE, check
-from omniocc.data.recording.spec import DRAWN_RIG
 from omniocc.data.source import SPLITS, MadeScenes
 from omniocc.data.store.files import list_folders
+from omniocc.data.store.meta import DRAWN_RIG
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
@@ -18,8 +18,8 @@ from omniocc.parts import Parts
 from omniocc.report.runs import FinishedRun, read_mapping
 from omniocc.report.tables.formats import Part, csv_text, tabular
 from omniocc.report.tables.paper import NUMERALS
-from omniocc.run.table import Cells
-from omniocc.run.trust import not_offered
+from omniocc.runs.table import Cells
+from omniocc.runs.trust import not_offered
 
 MADE = {"rig", "frames_per_scene", *(f"{split}_scenes" for split in SPLITS)}
 """Arguments of sources whose scenes are made."""

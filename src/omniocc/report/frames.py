@@ -9,11 +9,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from omniocc.draw import SheetParts
+from omniocc.draw.canvas import fitted
 from omniocc.report.html import webp
 from omniocc.report.runs import FinishedRun, grid_kind
-from omniocc.run.folder import IMAGES, PARTS
-from omniocc.view import SheetParts
-from omniocc.view.canvas import fitted
+from omniocc.runs.folder import IMAGES, PARTS
 
 NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
 WEBP_QUALITY = 78

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omniocc.run.table import number, text_columns
-from omniocc.view.canvas import PNG_OPTIONS, encoded
+from omniocc.draw.canvas import PNG_OPTIONS, encoded
+from omniocc.runs.table import number, text_columns
 
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.report"),

@@ -7,11 +7,11 @@ from pathlib import Path
 from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import best_of, preference
-from omniocc.run.curves import CURVES
-from omniocc.run.folder import METRICS
-from omniocc.run.results import FROM_TRAJECTORY
-from omniocc.run.robustness import TESTS
-from omniocc.run.scenes import SCENES
+from omniocc.runs.curves import CURVES
+from omniocc.runs.folder import METRICS
+from omniocc.runs.results import FROM_TRAJECTORY
+from omniocc.runs.robustness import TESTS
+from omniocc.runs.scenes import SCENES
 
 KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS, f"{FROM_TRAJECTORY}/{METRICS}")
 """Files, or patterns of files, of a run from which every table and curve can be written again."""

@@ -8,14 +8,14 @@ from urllib.parse import quote, urlencode
 
 from markupsafe import Markup
 
+from omniocc.draw.bev import ERRORS
 from omniocc.report.chapters import SPREAD, parts_of
 from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep
-from omniocc.run.folder import PAGE
-from omniocc.run.results import MINUTES
-from omniocc.view.bev import ERRORS
+from omniocc.runs.folder import PAGE
+from omniocc.runs.results import MINUTES
 
 FILES = ("config.yaml", "metrics.json", "table.md")
 

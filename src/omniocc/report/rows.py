@@ -12,7 +12,7 @@ from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import given
-from omniocc.run.rows import FOLDER
+from omniocc.runs.rows import FOLDER
 
 
 def assign_rows(

@@ -15,11 +15,11 @@ from omniocc.errors import UserError, shown
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.progress import Progress
 from omniocc.report.archive import is_archive
-from omniocc.run.folder import METRICS, command_of
-from omniocc.run.renamed import renamed
-from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
-from omniocc.run.scenes import scene_figures
-from omniocc.run.table import class_names
+from omniocc.runs.folder import METRICS, command_of
+from omniocc.runs.renamed import renamed
+from omniocc.runs.results import CANDIDATES, load_results, trajectory_figures
+from omniocc.runs.scenes import scene_figures
+from omniocc.runs.table import class_names
 
 GRID = "grid"
 """Stands for the kind of grid of runs whose configuration was not saved."""

@@ -8,9 +8,9 @@ from typing import Any
 from omniocc.config import dotted
 from omniocc.errors import UserError
 from omniocc.report.runs import GRID, FinishedRun, grid_kind
-from omniocc.run.folder import METRICS, OF_MACHINES, VOLATILE, is_clean
-from omniocc.run.results import FINISHED, PROTOCOL, says_the_same, utc_text
-from omniocc.run.table import SCORES
+from omniocc.runs.folder import METRICS, OF_MACHINES, VOLATILE, is_clean
+from omniocc.runs.results import FINISHED, PROTOCOL, says_the_same, utc_text
+from omniocc.runs.table import SCORES
 
 ABSENT = object()
 REASONS = ("runs of other names", "runs of changed code", "older runs")

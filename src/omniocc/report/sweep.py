@@ -26,10 +26,10 @@ from omniocc.report.selection import (
 from omniocc.report.tables.claims import Judged, Name, judged
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import SeedStd, load_seed_stds
-from omniocc.run.curves import read_curve
-from omniocc.run.folder import METRICS
-from omniocc.run.robustness import Robustness, read_robustness
-from omniocc.run.rows import known_rows, table_files
+from omniocc.runs.curves import read_curve
+from omniocc.runs.folder import METRICS
+from omniocc.runs.robustness import Robustness, read_robustness
+from omniocc.runs.rows import known_rows, table_files
 
 NAMED = 12
 """Most rows that a remark names."""

@@ -1,7 +1,7 @@
 """The paper's way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
 
 Simulators that rasterise, such as CARLA, can only render flat images. Here it exists to be compared with direct ray
-casting (`tests/world/render/test_cubemap.py` states the error) and to make data with the same resampling blur.
+casting (`tests/omniworld/render/test_cubemap.py` states the error) and to make data with the same resampling blur.
 """
 
 from dataclasses import dataclass, replace

@@ -13,17 +13,17 @@ from omniocc.data.labels.voxels import vote
 from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS, decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
+from omniocc.draw.bev import bev
+from omniocc.draw.canvas import fitted
+from omniocc.draw.ranges import SKY, range_colors
+from omniocc.draw.sheet import HEXAGON_ORDER, NAMES
+from omniocc.draw.voxels import render_voxels
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
 from omniocc.report.datasets import own_row
 from omniocc.report.html import png, render, webp
-from omniocc.run.folder import PAGE
-from omniocc.view.bev import bev
-from omniocc.view.canvas import fitted
-from omniocc.view.ranges import SKY, range_colors
-from omniocc.view.sheet import HEXAGON_ORDER, NAMES
-from omniocc.view.voxels import render_voxels
+from omniocc.runs.folder import PAGE
 from omniworld.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent
 from omniworld.report.facts import (
     OTHER_DATASETS,

@@ -16,8 +16,8 @@ from omniocc.data.formats.files import load_npy, read_bytes, read_npz
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cuboid
 from omniocc.predict.output.voxel_files import VOXELS, read_labels, read_voxels
-from omniocc.run.checkpoint_io import read_checkpoint
-from omniocc.run.weights import read_weights
+from omniocc.runs.checkpoint_io import read_checkpoint
+from omniocc.runs.weights import read_weights
 
 pytestmark = pytest.mark.usefixtures("little_memory")
 

@@ -15,11 +15,11 @@ from omniocc.config import build, check_root
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.submission import predict_submission
-from omniocc.run.checkpoint import load_checkpoint
-from omniocc.run.checkpoint_io import LAST
-from omniocc.task.build import build_task, fitting
-from omniocc.task.stages import DepthStage, SketchStage
-from omniocc.task.submission import frames_of, score_files, write_files
+from omniocc.runs.checkpoint import load_checkpoint
+from omniocc.runs.checkpoint_io import LAST
+from omniocc.train.build import build_task, fitting
+from omniocc.train.stages import DepthStage, SketchStage
+from omniocc.train.submission import frames_of, score_files, write_files
 
 pytestmark = [
     pytest.mark.slow,

@@ -14,8 +14,8 @@ from fake_scene import FakeWorld
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data import DataError, Recorded
-from omniocc.data.recording.spec import RENDERED_REACH_M
 from omniocc.data.source.recorded import by_fraction, reach_of, split_scenes, votes_of
+from omniocc.data.store.meta import RENDERED_REACH_M
 from omniocc.geometry import Cylinder
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))

@@ -27,8 +27,8 @@ from omniocc.data.source.completion import voxel_grid
 from omniocc.data.source.semantic_kitti import SemanticKITTI
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder
-from omniocc.task.scores import Scores
-from omniocc.task.submission import score_files
+from omniocc.train.scores import Scores
+from omniocc.train.submission import score_files
 from rayiou.voxel_iou import voxel_confusion, voxel_scores
 
 SEQUENCES = {"train": ["00"], "val": ["04"], "test": ["08"]}

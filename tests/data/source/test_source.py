@@ -14,7 +14,7 @@ from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.parts import Parts
-from omniocc.task.build import build_task
+from omniocc.train.build import build_task
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),

@@ -17,8 +17,8 @@ import omniocc
 from omniocc import seeding
 from omniocc.camera import Rig
 from omniocc.code import code_fingerprint
-from omniocc.data.recording.spec import RENDERED_REACH_M
 from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.meta import RENDERED_REACH_M
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder

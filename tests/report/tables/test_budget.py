@@ -3,7 +3,7 @@
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.budget import budget_cells, note
 from omniocc.report.tables.names import named
-from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.runs.cost import GFLOP, PARAMETERS, PEAK
 
 BEFORE = {"depth": 800, "sketch": 500}
 

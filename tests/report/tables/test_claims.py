@@ -21,9 +21,9 @@ from omniocc.report.tables.claims import (
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
 from omniocc.report.tables.verdicts import HEAD, claim_lines
-from omniocc.run.scenes import LIDAR as LIDAR_RAYS
-from omniocc.run.scenes import RAYS, save_scenes
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
+from omniocc.runs.scenes import LIDAR as LIDAR_RAYS
+from omniocc.runs.scenes import RAYS, save_scenes
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 SKETCH, COMPARISON = (load_table(SWEEPS / f"{name}.yaml").of_steps("1000") for name in ("sketch", "comparison"))

@@ -21,7 +21,7 @@ from omniocc.report.tables.paper import (
     load_table,
     table_cells,
 )
-from omniocc.run.rows import known_rows
+from omniocc.runs.rows import known_rows
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 TABLES = [path for path in sorted(SWEEPS.glob("*.yaml")) if is_table(path)]

@@ -17,7 +17,7 @@ from omniocc.report.tables.robustness import (
     robustness_csv,
     verdict,
 )
-from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness
+from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness
 
 
 def part(name, group, score, near):

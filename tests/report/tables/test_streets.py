@@ -8,7 +8,7 @@ from scipy import stats
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.streets import error_over_streets
-from omniocc.run.scenes import RAYS, save_scenes
+from omniocc.runs.scenes import RAYS, save_scenes
 
 KEY, TRUE = "test/rayiou", 100
 

@@ -17,7 +17,7 @@ from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
 from omniocc.report.write import draw_curves
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 SKETCH = load_table(SWEEPS / "sketch.yaml")

@@ -14,9 +14,9 @@ from wandb_server import API_KEY, wandb_server
 
 from omniocc.errors import UserError
 from omniocc.report.wandb import dashboard, upload
-from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.loggers import check_login, finish, run_id, wandb_of
-from omniocc.run.wandb.media import Named
+from omniocc.runs.wandb import Loggers
+from omniocc.runs.wandb.loggers import check_login, finish, run_id, wandb_of
+from omniocc.runs.wandb.media import Named
 
 CONFIG = {"name": "mono", "seed": 3, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
 

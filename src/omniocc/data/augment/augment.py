@@ -6,8 +6,8 @@ import torch
 
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN
+from omniocc.data.augment.flip_and_turn import Change, change_scenes, possible_turns
 from omniocc.data.augment.image import erase, jitter
-from omniocc.data.augment.scene import Change, change_scenes, possible_turns
 from omniocc.geometry import Grid
 
 

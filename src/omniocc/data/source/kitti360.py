@@ -13,6 +13,7 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud, DatasetScene, outside
 from omniocc.data.formats.files import check_root, read_image, scaled_size
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.kitti360 import (
@@ -29,7 +30,6 @@ from omniocc.data.formats.kitti360 import (
     velodyne_pose,
 )
 from omniocc.data.formats.poses import inverse, moved, shift
-from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
 from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
 from omniocc.data.labels.voxels import vote

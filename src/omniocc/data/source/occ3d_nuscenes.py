@@ -14,6 +14,7 @@ from torch import Tensor
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import FREE, UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud, DatasetScene, outside
 from omniocc.data.formats.files import (
     check_root,
     class_table,
@@ -26,7 +27,6 @@ from omniocc.data.formats.files import (
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.nuscenes import CAMERAS, KeyFrames, is_validation, read_key_frames
 from omniocc.data.formats.poses import inverse, moved, shift
-from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable
-from omniocc.data.formats.scene import DatasetScene
+from omniocc.data.formats.dataset_scene import DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.store.shard import digest

@@ -11,10 +11,10 @@ from typing import Any
 
 from omniocc.camera import Rig
 from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
-from omniocc.data.recording.spec import DRAWN_RIG, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
+from omniocc.data.store.meta import DRAWN_RIG, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import DataError

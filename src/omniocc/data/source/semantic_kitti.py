@@ -13,6 +13,7 @@ from torch import Tensor
 
 from omniocc.camera import Pinhole, Rig
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import check_root, image_size, read_image, scaled_size
 from omniocc.data.formats.kitti import (
     SEMANTIC_KITTI,
@@ -25,7 +26,6 @@ from omniocc.data.formats.kitti import (
     read_poses,
 )
 from omniocc.data.formats.poses import rigid
-from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Split, Unknown
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where, voxel_grid
 from omniocc.data.store.shard import digest

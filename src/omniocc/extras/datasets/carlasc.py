@@ -14,10 +14,10 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud, DatasetScene
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_array, read_text
 from omniocc.data.formats.kitti import read_point_ids
 from omniocc.data.formats.pose_table import read_matrices
-from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.source.own_grid import mirrored

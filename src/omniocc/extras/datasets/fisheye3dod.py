@@ -15,9 +15,9 @@ from jaxtyping import Float32, Float64, UInt8
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, WORLD_CLASSES
+from omniocc.data.formats.dataset_scene import Cloud, DatasetScene, outside
 from omniocc.data.formats.files import check_root, read_image, scaled_size
 from omniocc.data.formats.poses import inverse, moved
-from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import VotedLabels
 from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.store.shard import digest

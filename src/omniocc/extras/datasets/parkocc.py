@@ -19,6 +19,7 @@ from omniocc.camera import OCam, Rig
 from omniocc.camera.pose import LEVEL_FORWARD
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import (
     check_root,
     class_table,
@@ -29,7 +30,6 @@ from omniocc.data.formats.files import (
     scaled_size,
 )
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
 from omniocc.errors import DataError

@@ -18,9 +18,9 @@ from omniocc.camera import Camera, Panoramic, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_cloud
+from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import check_root, map_classes, read_image, read_npy, scaled_size
 from omniocc.data.formats.poses import inverse, moved, rigid
-from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, standing
 from omniocc.errors import DataError

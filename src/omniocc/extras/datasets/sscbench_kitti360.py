@@ -15,6 +15,7 @@ from torch import Tensor
 from omniocc.camera import Camera, Pinhole, Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_image, read_npy, scaled_size
 from omniocc.data.formats.kitti import SHAPE, SSCBENCH, SSCBENCH_IDS, read_mask
 from omniocc.data.formats.kitti360 import (
@@ -30,7 +31,6 @@ from omniocc.data.formats.kitti360 import (
     velodyne_pose,
 )
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Split, Unknown
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where
 from omniocc.data.store.shard import digest

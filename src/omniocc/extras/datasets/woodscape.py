@@ -12,6 +12,7 @@ import torch
 
 from omniocc.camera import Equirectangular, RadialPolynomial, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
+from omniocc.data.formats.dataset_scene import DatasetScene
 from omniocc.data.formats.files import (
     check_root,
     check_size,
@@ -23,7 +24,6 @@ from omniocc.data.formats.files import (
     scaled_size,
 )
 from omniocc.data.formats.poses import quaternion_pose, shift
-from omniocc.data.formats.scene import DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest

@@ -15,11 +15,11 @@ from omniocc.io import atomic_write
 from omniocc.parts import Parts
 from omniocc.report.tables.formats import parts_text
 from omniocc.report.tables.robustness import report_parts, robustness_csv
-from omniocc.run.robustness import FOLDER, Robustness, save_robustness
-from omniocc.run.table import in_columns
-from omniocc.run.trust import CONF
-from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.robustness import log_robustness
+from omniocc.runs.robustness import FOLDER, Robustness, save_robustness
+from omniocc.runs.table import in_columns
+from omniocc.runs.trust import CONF
+from omniocc.runs.wandb import Loggers
+from omniocc.runs.wandb.robustness import log_robustness
 
 
 def score_robustness(options: Evaluation) -> None:

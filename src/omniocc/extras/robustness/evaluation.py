@@ -19,17 +19,17 @@ from omniocc.data.module import worker_options
 from omniocc.data.source import MadeScenes, SceneFrames
 from omniocc.errors import UserError
 from omniocc.evaluate import system_of
-from omniocc.extras.robustness.disturb.scene import disturbed
+from omniocc.extras.robustness.disturb.disturbed_scene import disturbed
 from omniocc.extras.robustness.parts import NO_UNSEEN, VERSION, Part, chosen, parts_of
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
 from omniocc.progress import Progress
-from omniocc.run.checkpoint import Checkpoint
-from omniocc.run.folder import command_line, git_commit, short_hash
-from omniocc.run.robustness import WITHIN, PartScores, Robustness, load_part, save_part
-from omniocc.run.weights import digest_of
-from omniocc.task.occupancy import OccupancyTask, predictions
-from omniocc.task.scores import Scores
+from omniocc.runs.checkpoint import Checkpoint
+from omniocc.runs.folder import command_line, git_commit, short_hash
+from omniocc.runs.robustness import WITHIN, PartScores, Robustness, load_part, save_part
+from omniocc.runs.weights import digest_of
+from omniocc.train.occupancy import OccupancyTask, predictions
+from omniocc.train.scores import Scores
 
 KEYS = ("rayiou", "lidar/rayiou", "voxel/iou", "voxel/miou")
 """Scores that are kept, besides RayIoU within nested ranges."""

@@ -14,8 +14,8 @@ from omniocc.data.augment.degrade import Image, blurred, compressed, exposed
 from omniocc.errors import UserError
 from omniocc.extras.robustness.disturb import disturbance as kinds
 from omniocc.extras.robustness.disturb.disturbance import Disturbance
-from omniocc.run.folder import short_hash
-from omniocc.run.robustness import UNDISTURBED
+from omniocc.runs.folder import short_hash
+from omniocc.runs.robustness import UNDISTURBED
 from omniworld.render.weather import WEATHERS
 from omniworld.variations.night import NIGHT
 

@@ -15,7 +15,7 @@ from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import Prediction, Predictor
 from omniocc.predict.trained import load
 from omniocc.progress import Progress
-from omniocc.task.scores import Scores
+from omniocc.train.scores import Scores
 
 PAPER_GRID = Cylinder()
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from omniocc.camera import Equirectangular
 from omniocc.data.store.codec import quantize_range
+from omniocc.draw import save_png
 from omniocc.io import atomic_write
 from omniocc.model.depth import DepthMap
 from omniocc.predict.output.point_cloud import PointCloud, write_ply
-from omniocc.view import save_png
 
 
 def write_depth(

@@ -16,8 +16,8 @@ from omniocc.report.plots.curves import over_seeds, smoothed
 from omniocc.report.runs import FRACTION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
 from omniocc.report.tables.training import RunsByRow
-from omniocc.run.curves import read_curve
-from omniocc.run.table import band_keys
+from omniocc.runs.curves import read_curve
+from omniocc.runs.table import band_keys
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 

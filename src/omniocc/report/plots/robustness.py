@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Canvas
 
 from omniocc.report.plots.figures import STYLE, WHISKER
 from omniocc.report.tables.robustness import names_of
-from omniocc.run.robustness import Robustness, drop_of
+from omniocc.runs.robustness import Robustness, drop_of
 
 
 @rc_context(STYLE)

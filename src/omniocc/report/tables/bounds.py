@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun, grid_name
-from omniocc.run.table import SCORES, Cells, number
+from omniocc.runs.table import SCORES, Cells, number
 
 TITLE = "Baseline and upper bound"
 NOTE = (

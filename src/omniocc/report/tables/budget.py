@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.names import named
-from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
-from omniocc.run.machine import MACHINE
-from omniocc.run.results import EARLIER_MINUTES, MINUTES
-from omniocc.run.table import Cells
+from omniocc.runs.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.runs.machine import MACHINE
+from omniocc.runs.results import EARLIER_MINUTES, MINUTES
+from omniocc.runs.table import Cells
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 STAGES = ("depth", "sketch", "occupancy")

@@ -12,7 +12,7 @@ from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.protocol import counted_alike
 from omniocc.report.tables.streets import error_over_streets
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from omniocc.run.table import Cells, markdown
+from omniocc.runs.table import Cells, markdown
 
 
 def tabular(comment: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.formats import csv_text, exact
-from omniocc.run.cost import PEAK
-from omniocc.run.machine import MACHINE
-from omniocc.run.results import EARLIER_MINUTES, MINUTES
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_keys, number
+from omniocc.runs.cost import PEAK
+from omniocc.runs.machine import MACHINE
+from omniocc.runs.results import EARLIER_MINUTES, MINUTES
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_keys, number
 
 FACTS = {
     "seed": "seed",

@@ -11,7 +11,7 @@ from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun, read_mapping
 from omniocc.report.tables.formats import csv_text, exact, tabular
 from omniocc.report.tables.protocol import protocol_lines
-from omniocc.run.table import Cells, number
+from omniocc.runs.table import Cells, number
 
 COMPARED = ("parts", "grids", "systems")
 """What the rows of a table may be."""

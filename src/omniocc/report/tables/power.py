@@ -14,7 +14,7 @@ from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, 
 from omniocc.report.tables.formats import csv_text, exact
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
-from omniocc.run.table import VOXEL_RAYIOU
+from omniocc.runs.table import VOXEL_RAYIOU
 
 WANTED = 0.8
 """Probability with which a gap of the paper's size is to be found."""

@@ -4,8 +4,8 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
-from omniocc.run.results import PROTOCOL, says_the_same
-from omniocc.run.table import SCORES, score_of, titled
+from omniocc.runs.results import PROTOCOL, says_the_same
+from omniocc.runs.table import SCORES, score_of, titled
 
 
 def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> str:

@@ -19,7 +19,7 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.paper import NUMERALS, PaperTable, figure_of, has_paper
 from omniocc.report.tables.training import Planned, by_steps, decided_in
-from omniocc.run.table import VOXEL_RAYIOU, markdown, number
+from omniocc.runs.table import VOXEL_RAYIOU, markdown, number
 
 COMMAND = "python src/report.py --runs docs/results/runs.tar.xz --docs docs/results"
 """What writes the documentation's pages of results, and the block in the README."""

@@ -9,8 +9,8 @@ import numpy as np
 from omniocc.report.runs import HASH
 from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.report.tables.names import named
-from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind, relative_drop
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, number
+from omniocc.runs.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind, relative_drop
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, number
 
 TITLE = "What breaks them"
 NOTE = (

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from omniocc.report.runs import FinishedRun
-from omniocc.run.scenes import LIDAR, RAYS, SCENES, without_each_scene
+from omniocc.runs.scenes import LIDAR, RAYS, SCENES, without_each_scene
 
 KINDS = {"test/rayiou": RAYS, "test/lidar/rayiou": LIDAR}
 """Rays whose counts give a metric, by its key."""

@@ -9,7 +9,7 @@ from omniocc.report.tables.claims import JUDGES
 from omniocc.report.tables.names import method_names
 from omniocc.report.tables.paper import figure_of, with_error
 from omniocc.report.tables.verdicts import claim_lines
-from omniocc.run.table import VOXEL_RAYIOU, markdown
+from omniocc.runs.table import VOXEL_RAYIOU, markdown
 
 KEYS = {f"{start}rayiou": title for title, start in JUDGES.items()}
 REMARKS, ROWS, WIDTH = 4, 10, 300

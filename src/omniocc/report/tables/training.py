@@ -22,8 +22,8 @@ from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.report.tables.gaps import Gap, change
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import SPREAD, PaperRow, PaperTable, figure_of, spread_cells
-from omniocc.run.curves import read_curve
-from omniocc.run.table import Cells
+from omniocc.runs.curves import read_curve
+from omniocc.runs.table import Cells
 
 TITLE = "What changes with more steps"
 CHANGES = (

@@ -10,9 +10,9 @@ from omniocc.report.selection import compared, counted_otherwise, given, prefere
 from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.formats import csv_text
 from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
-from omniocc.run.results import MINUTES
-from omniocc.run.slots import slots_of
-from omniocc.run.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_names
+from omniocc.runs.results import MINUTES
+from omniocc.runs.slots import slots_of
+from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU, Cells, band_names
 
 LAST = {"val/lidar/rayiou": SURFACE_RAYIOU, "val/voxel/iou": "IoU", "val/voxel/miou": "mIoU"}
 

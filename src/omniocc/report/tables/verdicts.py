@@ -23,7 +23,7 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.formats import Part, exact
 from omniocc.report.tables.paper import PaperRow, PaperTable
-from omniocc.run.table import Cells, number
+from omniocc.runs.table import Cells, number
 
 TITLE = "Claims by {}"
 NOTE = (

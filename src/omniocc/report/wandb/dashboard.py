@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from omniocc.errors import UserError, installing
 from omniocc.report.runs import read_runs
-from omniocc.run.script import lines_not_tracebacks
-from omniocc.run.table import band_names, class_names
-from omniocc.run.wandb.loggers import check_login
+from omniocc.runs.script import lines_not_tracebacks
+from omniocc.runs.table import band_names, class_names
+from omniocc.runs.wandb.loggers import check_login
 
 if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Workspace

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from omniocc.errors import UserError
-from omniocc.run.script import lines_not_tracebacks
+from omniocc.runs.script import lines_not_tracebacks
 
 WRITTEN = "wandb/*run-*/run-*.wandb"
 """Files of runs, offline or online ones."""

@@ -11,8 +11,8 @@ from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
 from omniocc.report.wandb.killed import remove_half_record, whole_bytes
-from omniocc.run.script import lines_not_tracebacks
-from omniocc.run.wandb.loggers import check_login
+from omniocc.runs.script import lines_not_tracebacks
+from omniocc.runs.wandb.loggers import check_login
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"

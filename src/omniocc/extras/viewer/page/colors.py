@@ -7,8 +7,8 @@ first eleven and 17 among all.
 """
 
 from omniocc.classes import FREE, ClassTable
-from omniocc.view.bev import ERRORS
-from omniocc.view.canvas import Rgb
+from omniocc.draw.bev import ERRORS
+from omniocc.draw.canvas import Rgb
 
 SAFE: tuple[Rgb, ...] = (
     (120, 120, 135),

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.draw.canvas import encoded, fitted
+from omniocc.draw.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
+from omniocc.draw.sheet import HEXAGON_ORDER
+from omniocc.draw.voxels import CAR_BOXES
 from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.extras.viewer.page.colors import class_colors, kind_colors
 from omniocc.extras.viewer.page.lens import direction_table
 from omniocc.geometry import Cylinder, Grid
-from omniocc.view.canvas import encoded, fitted
-from omniocc.view.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
-from omniocc.view.sheet import HEXAGON_ORDER
-from omniocc.view.voxels import CAR_BOXES
 
 IMAGE_PX = 1024
 """Largest width of an image in the page unless another one is asked for."""

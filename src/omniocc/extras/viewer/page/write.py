@@ -15,7 +15,7 @@ from omniocc.errors import UserError
 from omniocc.extras.viewer.frames import Shown, ShownFrame
 from omniocc.extras.viewer.page.pack import IMAGE_PX, Packed, pack
 from omniocc.io import atomic_write
-from omniocc.run.folder import PAGE
+from omniocc.runs.folder import PAGE
 
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.extras.viewer.page", "static"),

@@ -7,9 +7,9 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
+from omniocc.draw.bev import HALLUCINATED, MISSED, WRONG
+from omniocc.draw.voxels import LIGHT
 from omniocc.geometry import Grid
-from omniocc.view.bev import HALLUCINATED, MISSED, WRONG
-from omniocc.view.voxels import LIGHT
 from rayiou.surface import surface, with_area
 
 Rgb = tuple[int, int, int]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.io import read_yaml
-from omniocc.run.curves import Curve, curve_files, read_curves
+from omniocc.runs.curves import Curve, curve_files, read_curves
 
 LOCKS = Path("/proc/locks")
 Identity = tuple[int, int, int]

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from omniocc.extras.viewer.watch.files import Identity, config_of, curves_of, held_locks, identity, modified_s
 from omniocc.progress import clock, read_status
-from omniocc.run.curves import Curve, curve_files, read_rows
+from omniocc.runs.curves import Curve, curve_files, read_rows
 
 METRICS, IMAGES, CONFIG, LOCK = "metrics.json", "images", "config.yaml", ".lock"
 STAGES = "stages"

@@ -1,1 +1,0 @@
-"""Rendering scenes into folders with several processes."""

@@ -1,0 +1,96 @@
+"""One sheet per frame of predicted ranges: on the camera images, and as a panorama beside the truth."""
+
+import cv2
+import numpy as np
+import torch
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.draw.canvas import Images, Ranges, fitted, legend
+from omniocc.draw.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
+from omniocc.draw.sheet import NAMES, camera_rows, column_width, inner_width, panorama_row, stack
+
+COVER = 1.8
+"""Diameter of a point over the distance to its neighbour."""
+
+
+def depth_sheet(
+    images: Images,
+    rig: Rig,
+    panorama: Equirectangular,
+    predicted_m: Ranges,
+    true_m: Ranges,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
+    """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
+    inner = inner_width(width_px)
+    predicted, true = predicted_m.numpy(), true_m.numpy()
+    both = np.isfinite(predicted) & np.isfinite(true)
+    mean = f", {np.abs(predicted[both] - true[both]).mean():.2f} m on average" if both.any() else ""
+    rows = [
+        *painted_rows(images, rig, panorama, predicted_m, inner),
+        panorama_row(range_colors(true), "true range", inner),
+        panorama_row(range_colors(predicted), "predicted range", inner),
+        range_bar(inner),
+        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], inner),
+        panorama_row(error_colors(predicted, true), f"error: predicted minus true{mean}", inner),
+        error_bar(inner),
+        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], inner),
+    ]
+    return stack(rows, width_px, caption)
+
+
+def painted_rows(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
+    """Return rows of camera images with the points of a panorama on them, as `paint_ranges` draws them."""
+    columns = 3 if len(images) % 3 == 0 else 2
+    painted = paint_ranges(images, rig, panorama, range_m, column_width(width, columns))
+    return camera_rows(painted, width, columns, None if len(rig.names) == len(NAMES) else rig.names)
+
+
+def paint_ranges(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
+    """Return the camera images, scaled to a width, with the points of a panorama in the colours of their range.
+
+    A point is as large as the panorama's pixel appears from the camera, and nearer points hide farther ones. The
+    brightness is that of the image, so that objects stay visible. Ranges that are not finite are not drawn.
+    """
+    known = range_m.isfinite().flatten()
+    points = (range_m.unsqueeze(-1) * panorama.rays()).flatten(0, 1)[known].double()
+    order = points.norm(dim=-1).argsort(descending=True)
+    pixels, valid = rig.project(points[order])
+    colors = range_colors(range_m.flatten()[known][order].numpy())
+    step_rad = 2 * np.pi / panorama.width
+    painted = []
+    for k, image in enumerate(images):
+        camera = fitted(image, width)
+        scale = width / rig.cameras[k].width
+        from_camera = (points[order] - rig.ego_from_camera[k, :3, 3]).norm(dim=-1).clamp(min=1e-3)
+        extent_rad = step_rad * points[order].norm(dim=-1) / from_camera
+        radius = extent_rad * _pixels_per_rad(rig, k) * scale * COVER / 2
+        inside = valid[k]
+        places = (pixels[k][inside] + 0.5) * scale - 0.5
+        painted.append(_dotted(camera, places.numpy(), radius[inside].clamp(1, 12).numpy(), colors[inside.numpy()]))
+    return painted
+
+
+def _pixels_per_rad(rig: Rig, k: int) -> float:
+    """Return the mean number of pixels per radian over the width of the image."""
+    camera = rig.cameras[k]
+    row = torch.stack([torch.linspace(0, camera.width - 1, 65), torch.full((65,), camera.height / 2)], -1).double()
+    rays, valid = camera.unproject(row)
+    both = valid[1:] & valid[:-1]
+    angles = torch.linalg.vector_norm(rays[1:] - rays[:-1], dim=-1)[both]
+    return float((camera.width - 1) / 64 / angles.mean()) if bool(both.any()) else float(camera.width)
+
+
+def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """Return the grey image with discs drawn in this order, lit by its brightness."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    paint = np.repeat((grey * 0.6).astype(np.uint8)[..., None], 3, axis=2)
+    drawn = np.zeros(grey.shape, np.uint8)
+    fixed, sizes = np.round(places * 16).astype(int).tolist(), np.round(radius * 16).astype(int).tolist()
+    for center, size, rgb in zip(fixed, sizes, colors.tolist(), strict=True):
+        cv2.circle(paint, center, size, rgb, -1, cv2.LINE_8, 4)
+        cv2.circle(drawn, center, size, 1, -1, cv2.LINE_8, 4)
+    light = 0.45 + 0.75 * (grey / 255.0)
+    lit = (paint * light[..., None]).clip(0, 255).astype(np.uint8)
+    return np.where(drawn[..., None] > 0, lit, paint)

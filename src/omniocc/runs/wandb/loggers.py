@@ -1,0 +1,205 @@
+"""Loggers of a run: always a CSV file, and W&B offline unless configured otherwise.
+
+The CSV file has every row on disk at once. W&B writes its file every 15 s, so that after a SIGKILL of the process or of
+its whole group the curves lack the rows of at most the last 15 s (measured with W&B 0.31, offline: 40 rows at 0.1 s per
+row, 12 rows at 1 s per row). A resumed run does not log rows again that the CSV files have.
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+
+from omniocc.errors import UserError
+from omniocc.io import checked_name
+from omniocc.runs.curves import curve_files, read_rows
+from omniocc.runs.slots import slots_of
+from omniocc.runs.wandb.media import Named, wandb_object
+from omniocc.runs.wandb.result_tables import result_tables
+
+JobType = Literal["depth", "sketch", "occupancy", "robustness"]
+CSV = "csv"
+"""Folder of the CSV files, one for every start of the run, in the run's folder."""
+CONSTANT = ("test", "prior", "label")
+"""Phases whose scalars have one value in a run: W&B gets them in its summary, not as charts with a dot each."""
+
+
+@dataclass(frozen=True)
+class Loggers:
+    """Recipe for the loggers of one run.
+
+    Attributes:
+        mode: of W&B; `disabled` leaves only the CSV file.
+        group: W&B group: the sweep that the run belongs to.
+        tags: W&B tags in addition to the row (`name`) of an occupancy run.
+    """
+
+    mode: Literal["offline", "online", "disabled"]
+    project: str
+    group: str | None
+    tags: Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Check the group; raise UserError if it cannot be a name."""
+        if self.group is not None:
+            checked_name("group", self.group)
+
+    def build(self, folder: Path, config: dict[str, Any], job_type: JobType) -> list[Logger]:
+        """Return the loggers that write below `folder`.
+
+        The W&B id follows from the folder, so that a resumed run continues its curves. The W&B config is the resolved
+        one with `row` and `slots.<slot>`, the option in every slot, to group runs by.
+
+        Raises:
+            UserError: for `mode=online` without a W&B server that accepts the credentials of this machine.
+        """
+        earlier = rows_in_csv(folder) if rank_zero_only.rank == 0 else set()
+        loggers: list[Logger] = [CSVLogger(folder, name=CSV, flush_logs_every_n_steps=1)]
+        # a sweep agent has set the id of one run, which a W&B run of an earlier stage would take
+        wanted = "WANDB_SWEEP_ID" not in os.environ or job_type == (config.get("stage") or "occupancy")
+        if self.mode != "disabled" and wanted:
+            os.environ.setdefault("WANDB_SILENT", "true")
+            if self.mode == "online":
+                check_login("logger.mode=online needs a W&B server")
+            loggers.append(WandbCurves(self, folder, config, job_type, earlier))
+        return loggers
+
+
+class WandbCurves(WandbLogger):
+    """Lightning's logger for W&B, which does not repeat what an interrupted run has logged.
+
+    Args:
+        recipe: mode, project, group and tags; offline, data stays on the machine until `make wandb-sync`.
+        folder: of the run.
+        config: the run's resolved configuration; its row is a further tag of an occupancy run.
+        job_type: W&B job type, the stage.
+        earlier: step and key of the values that the run has logged before it was interrupted.
+    """
+
+    def __init__(
+        self, recipe: Loggers, folder: Path, config: dict[str, Any], job_type: JobType, earlier: set[tuple[int, str]]
+    ):
+        row = {"row": config["name"]} if job_type == "occupancy" else {}
+        super().__init__(
+            name=folder.name,
+            save_dir=folder,
+            id=run_id(folder),
+            project=recipe.project,
+            offline=recipe.mode == "offline",
+            group=recipe.group,
+            job_type=job_type,
+            tags=list(dict.fromkeys([*row.values(), *recipe.tags])),
+            resume="allow",
+            config={**config, **row, "slots": slots_of(config)},
+        )
+        # Lightning passes a setting that W&B no longer has, and W&B warns of it in every run
+        self._wandb_init.pop("anonymous", None)
+        self.earlier = earlier
+        self.earlier_phases = {(step, phase_of(key)) for step, key in earlier}
+        self.scalars: dict[str, float] = {}
+
+    @rank_zero_only
+    def log_metrics(self, metrics: Mapping[str, Any], step: int | None = None) -> None:
+        """Log the metrics of a step that were not logged before the run was interrupted; those of a test as summary."""
+        scalars = {key: value for key, value in metrics.items() if isinstance(value, int | float)}
+        self.scalars |= scalars
+        constants = {key: value for key, value in scalars.items() if phase_of(key) in CONSTANT}
+        self.log_constants(constants)
+        curves = {key: value for key, value in metrics.items() if key not in constants}
+        new = {key: value for key, value in curves.items() if (step, key) not in self.earlier}
+        if set(new) - {"epoch"}:
+            super().log_metrics(new, step)
+
+    @rank_zero_only
+    def log_constants(self, metrics: Mapping[str, float]) -> None:
+        """Add values that do not change to the run's summary; nan arrives as none."""
+        self.scalars |= metrics
+        if metrics:
+            self.experiment.summary.update(dict(metrics))
+
+    @rank_zero_only
+    def log_media(self, media: Mapping[str, Sequence[Named]], step: int) -> None:
+        """Log images and points under their keys, all of one step in one row.
+
+        They are left out if the scalars of the same phase and step, which follow them, were logged before.
+        """
+        new = {key: items for key, items in media.items() if (step, phase_of(key)) not in self.earlier_phases}
+        if new:
+            self.log_metrics({key: [wandb_object(item) for item in items] for key, items in new.items()}, step)
+
+    @rank_zero_only
+    def finish(self) -> None:
+        """Log the tables of a test and end the run, so that the next one in this process is a run of its own."""
+        import wandb
+
+        if tables := result_tables(self.scalars):
+            self.log_metrics(
+                {key: wandb.Table(columns=[*table.columns], data=table.rows) for key, table in tables.items()}
+            )
+        self.experiment.finish()
+
+
+def check_login(purpose: str) -> None:
+    """Ask the W&B server whether it accepts this machine's credentials, for 10 s or `WANDB_HTTP_TIMEOUT`.
+
+    W&B itself would ask for an API key, and would try for minutes to reach a server that does not answer.
+
+    Raises:
+        UserError: without credentials, and if the server refuses them or does not answer.
+    """
+    import wandb  # seconds of import that CSV-only runs do not pay
+
+    try:
+        found = wandb.login(prompt=False, verify=True)
+    except (wandb.Error, ValueError) as error:  # the latter for settings that are no URL, ...
+        reason, remedy = " ".join(str(error).split()), "see network, WANDB_BASE_URL, `wandb login --relogin`"
+        raise UserError(
+            f"{purpose}: the W&B server refused the login or gave no answer ({remedy}): {reason}"
+        ) from error
+    if not found:
+        raise UserError(f"{purpose}: run `wandb login` or set WANDB_API_KEY first")
+
+
+def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
+    """Return the loggers that write to W&B."""
+    return [logger for logger in loggers if isinstance(logger, WandbCurves)]
+
+
+def log_earlier_stages(loggers: Sequence[Logger], figures: Mapping[str, float], step: int) -> None:
+    """Log the figures of the stages before a run, which do not change in it."""
+    for logger in loggers:
+        if isinstance(logger, WandbCurves):
+            logger.log_constants(figures)
+        else:
+            logger.log_metrics(dict(figures), step)
+
+
+def finish(loggers: Sequence[Logger]) -> None:
+    """End the W&B runs of a finished trainer."""
+    for logger in wandb_of(loggers):
+        logger.finish()
+
+
+def run_id(folder: Path) -> str:
+    """Return the W&B run id of a run folder: the same at every start on this machine."""
+    return hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+
+
+def phase_of(key: str) -> str:
+    """Return the part of a metric key before the first slash: train, val, test."""
+    return key.partition("/")[0]
+
+
+def rows_in_csv(folder: Path) -> set[tuple[int, str]]:
+    """Return step and key of every value in the complete lines of the CSV files of a run's earlier starts."""
+    found = set()
+    for path in curve_files(folder):
+        for row in read_rows(path):
+            step = int(row.pop("step"))
+            found |= {(step, key) for key, value in row.items() if value}
+    return found

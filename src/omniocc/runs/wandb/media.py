@@ -1,0 +1,82 @@
+"""Media of a test frame for W&B besides its sheet: images that can be enlarged, voxels that can be rotated."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import FREE, UNKNOWN, ClassTable
+from omniocc.draw.bev import bev, error_bev
+from omniocc.draw.paint import paint_voxels
+from omniocc.draw.ranges import error_colors, range_colors
+from omniocc.draw.sheet import panorama_row
+from omniocc.geometry import Grid
+
+CAMERA_PX, BEV_PX, PANORAMA_PX = 400, 400, 960
+CAR_CENTER_M, CAR_SIZE_M = (0.0, 0.0, -1.45), (4.6, 1.9, 1.5)
+
+
+class Named(NamedTuple):
+    """An image (H, W, 3) uint8 RGB, or points (P, 6) of x, y, z in metres and RGB, and its caption."""
+
+    content: np.ndarray
+    caption: str
+
+
+def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> Float[np.ndarray, "P 6"]:
+    """Return the centres of all occupied cells, ego frame, rounded to the centimetre, and their class colours."""
+    occupied = (labels != FREE) & (labels != UNKNOWN)
+    centers_m = geometry.centers()[occupied].double().numpy().round(2)
+    return np.concatenate([centers_m, classes.palette[labels[occupied].numpy()].astype(np.float64)], axis=1)
+
+
+def voxel_media(
+    images: UInt8[np.ndarray, "N H W 3"],
+    rig: Rig,
+    truth: UInt8[Tensor, "X Y Z"],
+    prediction: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: ClassTable,
+) -> dict[str, list[Named]]:
+    """Return the cameras with predicted classes, voxels, and maps of truth, prediction and differences by key."""
+    painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
+    maps = {
+        "truth": bev(truth, geometry, classes, BEV_PX),
+        "prediction": bev(prediction, geometry, classes, BEV_PX),
+        "differences": error_bev(truth, prediction, geometry, BEV_PX),
+    }
+    return {
+        "cameras": [Named(image, name) for image, name in zip(painted, rig.names, strict=True)],
+        "bev": [Named(image, name) for name, image in maps.items()],
+        "points_truth": [Named(class_cloud(truth, geometry, classes), "truth")],
+        "points_prediction": [Named(class_cloud(prediction, geometry, classes), "prediction")],
+    }
+
+
+def range_media(
+    predicted_m: Float[Tensor, "h w"], true_m: Float[Tensor, "h w"], panorama: Equirectangular
+) -> dict[str, list[Named]]:
+    """Return range panoramas, true and predicted (nan: no answer), and their difference."""
+    assert true_m.shape == (panorama.height, panorama.width)
+    predicted, true = predicted_m.numpy(), true_m.numpy()
+    rows = {
+        "true range": range_colors(true),
+        "predicted range": range_colors(predicted),
+        "predicted minus true": error_colors(predicted, true),
+    }
+    return {"erp": [Named(panorama_row(colors, name, PANORAMA_PX), name) for name, colors in rows.items()]}
+
+
+def wandb_object(item: Named) -> Any:
+    """Return the W&B object of an item; points get a box for the ego car."""
+    import wandb
+
+    if item.content.ndim == 3:
+        return wandb.Image(item.content, caption=item.caption, file_type="jpg")
+    car = wandb.box3d(
+        center=CAR_CENTER_M, size=CAR_SIZE_M, orientation=(1, 0, 0, 0), color=(255, 255, 255), label="own car"
+    )
+    cloud = {"type": "lidar/beta", "points": item.content, "boxes": np.array([car]), "vectors": np.array([])}
+    return wandb.Object3D(cloud, caption=item.caption)

@@ -1,0 +1,68 @@
+"""The sketch stage: panoramas of range to candidate voxels, scored by recall, precision and fraction."""
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+from torch import Tensor, nn
+
+from omniocc.batch import Batch
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.metric import Candidates
+from omniocc.model.protocols import LearnedSketch
+from omniocc.train.adamw import AdamW
+from omniocc.train.stage_task import StageTask
+from omniocc.train.terms import log_terms
+
+
+class SketchTask(StageTask[nn.Module]):
+    """Train a learned sketch on panoramas of the depth stage; other arguments as in `StageTask`.
+
+    Args:
+        model: learned sketch; its depth option is not run, since batches hold the panoramas.
+        range_edges_m: ends of the distance bands in which figures are given.
+    """
+
+    STAGE = "sketch"
+
+    def __init__(self, model: nn.Module, optimizer: AdamW, range_edges_m: Sequence[float], config: dict[str, Any]):
+        super().__init__(model, optimizer, config)
+        grid = cast(Cylinder | Cuboid, self.sketch.geometry)
+        self.raw = Candidates(grid, range_edges_m)
+        self.dilated = Candidates(grid, range_edges_m)
+
+    @property
+    def sketch(self) -> LearnedSketch:
+        """Return the model, typed as a learned sketch."""
+        return cast(LearnedSketch, self.model)
+
+    def training_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Return the sum of the loss terms; each is logged by name."""
+        terms = {} if batch.voxels is None else self.sketch.training_terms(*panorama(batch), batch.voxels)
+        return log_terms(self, terms, batch)
+
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Score a batch and return the predicted candidates."""
+        logits = self.sketch.logits(*panorama(batch))
+        candidates = self.sketch.select(logits)
+        if batch.voxels is not None:
+            self.raw.update(self.sketch.choose(logits), batch.voxels)
+            self.dilated.update(candidates, batch.voxels)
+        return candidates
+
+    def log_scores(self, split: str) -> None:
+        """Log `<split>/sketch/...` and reset the scores."""
+        for prefix, metric in ((f"{split}/sketch", self.dilated), (f"{split}/sketch/raw", self.raw)):
+            self.log_dict({f"{prefix}/{key}": value for key, value in metric.compute().items()}, sync_dist=False)
+            metric.reset()
+
+
+def panorama(batch: Batch) -> tuple[Tensor, Tensor]:
+    """Return predicted ranges and the mask of valid ones, (B, h, w) each."""
+    assert batch.depth_range_m is not None
+    return known(batch.depth_range_m)
+
+
+def known(range_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Return ranges with zeros where they are unknown, and the mask of known ones."""
+    valid = range_m.isfinite()
+    return range_m.masked_fill(~valid, 0.0), valid

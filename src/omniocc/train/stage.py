@@ -1,0 +1,229 @@
+"""One stage of training: depth, sketch or occupancy. All of them run in the same way."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from functools import cached_property
+from pathlib import Path
+from time import time
+from typing import Any, ClassVar, NamedTuple
+
+from lightning.pytorch import Trainer, seed_everything
+from lightning.pytorch.callbacks import Callback
+from omegaconf import OmegaConf
+
+from omniocc.camera import Rig
+from omniocc.data import Needs, OccupancyData
+from omniocc.data.source.cameras import first_rig
+from omniocc.io import atomic_write
+from omniocc.parts import Parts
+from omniocc.runs.checkpoint import load_checkpoint
+from omniocc.runs.checkpoint_io import BEST, LAST, AtomicCheckpointIO
+from omniocc.runs.cost import PEAK, peak_mib
+from omniocc.runs.distributed import barrier, is_first
+from omniocc.runs.folder import METRICS, command_line, git_commit
+from omniocc.runs.machine import MACHINE, machine
+from omniocc.runs.plan import Amount, validation_times
+from omniocc.runs.results import (
+    FINISHED,
+    MINUTES,
+    load_results,
+    made_by_other_code,
+    save_results,
+    show_results,
+    utc_text,
+)
+from omniocc.runs.wandb.loggers import finish
+from omniocc.train.every_frame import Leaves
+from omniocc.train.last import LastCheckpoint
+from omniocc.train.progress import StepProgress, TrainingTime
+from omniocc.train.stage_task import Recipe, StageTask
+from omniocc.train.stop import StopAtSignal
+
+
+class Place(NamedTuple):
+    """Where a stage works.
+
+    Attributes:
+        folder: of checkpoints and curves.
+        checkpoint: from which its training goes on; None at the start.
+        results: folder of the figures.
+    """
+
+    folder: Path
+    checkpoint: Path | None
+    results: Path
+
+    @property
+    def finished(self) -> bool:
+        """Return whether the stage has been trained and tested."""
+        return (self.results / METRICS).exists()
+
+
+class Stage(ABC):
+    """A training and its test. A subclass says what is trained, what is read for it, and what it leaves.
+
+    Args:
+        parts: of the checked configuration.
+        data: prepared; the stage is trained on its scenes and predicts for all of them.
+        before: the earlier stages, in order.
+        followed: whether a later stage reads what this one leaves.
+
+    Attributes:
+        NAME: of the stage, as in `conf/stages`.
+        recipe: how it is trained.
+        window: frames of a sample.
+        learns: whether there is anything to train.
+        TESTS_BEST: whether the best checkpoint is tested, which `callbacks` chooses, rather than the last weights.
+        AGAIN: what the line on a finished stage adds.
+    """
+
+    NAME: ClassVar[str]
+    TESTS_BEST: ClassVar[bool] = False
+    AGAIN: ClassVar[str] = ""
+    window = 1
+    learns = True
+
+    def __init__(self, parts: Parts, data: OccupancyData, before: "Sequence[Stage]" = (), followed: bool = False):
+        self.parts, self.data, self.followed = parts, data, followed
+        self.before = {stage.NAME: stage for stage in before}
+        self.recipe: Recipe = parts.recipe(self.NAME)
+
+    @cached_property
+    @abstractmethod
+    def key(self) -> str:
+        """Return a hash of everything that decides the results."""
+
+    @abstractmethod
+    def claimed(self, title: str) -> AbstractContextManager[Place]:
+        """Lock the stage's folder."""
+
+    @abstractmethod
+    def task(self, rig: Rig) -> StageTask:
+        """Return what is trained, with new weights; `rig` is that of the first training frame."""
+
+    @abstractmethod
+    def needs(self, task: StageTask) -> tuple[Needs, Needs]:
+        """Return what is read of a sample in training, and in validation and test."""
+
+    @abstractmethod
+    def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:
+        """Return what happens beside the training, such as images of test frames."""
+
+    @abstractmethod
+    def cost(self, task: StageTask, data: OccupancyData) -> dict[str, float]:
+        """Return the parameters and the operations of one frame."""
+
+    @abstractmethod
+    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+        """Give the task its first weights; return a line on weights that the recipe names."""
+
+    def figures_and_facts(
+        self, task: StageTask, data: OccupancyData, trainer: Trainer, place: Place
+    ) -> tuple[dict[str, float], dict[str, Any]]:
+        """Return further figures and facts of a finished test, for which the first process asks."""
+        return {}, {}
+
+    def leaves(self) -> Leaves | None:
+        """Return what is predicted for every frame, for later stages."""
+        return None
+
+    def amount(self, frames: int, trainer: Trainer) -> Amount:
+        """Return how much training the recipe asks for on this many training frames."""
+        recipe, devices = self.recipe, trainer.num_devices * trainer.num_nodes
+        return Amount(
+            recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, trainer.accumulate_grad_batches
+        )
+
+    def run(self, title: str) -> dict[str, float]:
+        """Train and test unless that is done, fill what later stages read, and return the figures."""
+        with self.claimed(title) as place:
+            leaves = self.leaves() if self.followed else None
+            if place.finished:
+                say(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.AGAIN}")
+            if not place.finished or (leaves and leaves.missing()):
+                seed_everything(self.recipe.seed, workers=True, verbose=False)
+                task = self.task(first_rig(self.data.source))
+                if place.finished:
+                    task.model.load_state_dict(load_checkpoint(place.folder / LAST).model_weights)
+                else:
+                    self.train(task, place, title)
+                if leaves is not None:
+                    leaves.fill(task, self.parts.trainer().strategy.root_device, self.data.num_workers, title)
+        barrier()
+        if is_first():
+            show_results(place.results)
+        return load_results(place.results)[1]
+
+    def train(self, task: StageTask, place: Place, title: str) -> None:
+        """Train from the beginning or a checkpoint, test, and write figures with facts about the training."""
+        recipe, last, cfg = self.recipe, place.folder / LAST, self.parts.cfg
+        if is_first():
+            atomic_write(place.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+        data = self.parts.data(window=self.window, batch_size=recipe.batch_size, seed=recipe.seed)
+        data.read_only(*self.needs(task))
+        data.setup()
+        given = self.begin(task, data, place.checkpoint)
+        duration = TrainingTime()
+        trainer = self.parts.trainer(
+            max_steps=recipe.max_steps,
+            max_epochs=recipe.max_epochs,
+            **validation_times(
+                recipe.max_steps, recipe.max_epochs, recipe.validate_every_n_epochs, cfg.trainer.accumulate_grad_batches
+            ),
+            callbacks=[
+                StepProgress(title),
+                duration,
+                *self.callbacks(place, data),
+                LastCheckpoint(last, cfg.checkpoint_every_n_steps),
+                StopAtSignal(last),
+            ],
+            plugins=[AtomicCheckpointIO()],
+            logger=self.parts.loggers().build(place.folder, self.parts.config, self.NAME),
+            default_root_dir=str(place.folder),
+        )
+        if trainer.is_global_zero:
+            announce(title, task, data, place, given)
+        trains = self.learns and recipe.max_steps != 0
+        if trains:
+            trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
+        minutes, tested = duration.minutes, None  # a checkpoint that is loaded has its own
+        if trains and self.TESTS_BEST:
+            trainer.save_checkpoint(last)
+            tested = str(best if (best := place.folder / BEST).exists() else last)
+        metrics = dict(trainer.validate(task, datamodule=data, ckpt_path=tested, verbose=False)[0])
+        if trains:
+            task.fit_to_validation()
+        metrics |= trainer.test(task, datamodule=data, ckpt_path=tested, verbose=False)[0]
+        if tested is None:
+            trainer.save_checkpoint(last)
+        barrier()
+        if not trainer.is_global_zero:
+            return
+        device = trainer.strategy.root_device
+        facts = {"run": place.folder.name, "checkpoint": Path(tested or last).name, "seed": recipe.seed}
+        facts |= {"steps": trainer.global_step, "preset": cfg.preset.name, "command": command_line()}
+        facts |= {MINUTES: minutes, PEAK: peak_mib(device), MACHINE: machine(device), **self.cost(task, data)}
+        more, about = self.figures_and_facts(task, data, trainer, place)
+        facts |= {**about, "commit": git_commit(), "data": data.source.fingerprint, FINISHED: utc_text(time())}
+        save_results(place.results, metrics | more, facts)
+        finish(trainer.loggers)
+
+
+def announce(title: str, task: StageTask, data: OccupancyData, place: Place, given: str | None) -> None:
+    """Print a line each on the folder, the model, the weights that it starts from (None: random ones), and data."""
+    parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
+    start = "begins" if place.checkpoint is None else f"goes on from {place.checkpoint.name}"
+    say(f"{title} {start}: {place.folder}")
+    grid = data.geometry
+    shape = f"{type(grid).__name__} {'x'.join(map(str, grid.shape))}"
+    say(f"model     {parameters:.2f} M parameters, {type(task.model).__name__}, {shape}")
+    if given is not None:
+        say(f"weights   {given}")
+    say(f"data      {data.source.folder}")
+
+
+def say(text: str) -> None:
+    """Print a line in the first process."""
+    if is_first():
+        print(text, flush=True)

@@ -1,0 +1,565 @@
+"""A rendered scene, exported as a log in folders and imported again, is the same scene; mistakes get one line."""
+
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from log_files import START_NS, lidar_option, rig_of, stamp_ns
+from PIL import Image
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation, Slerp
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
+from omniocc.data import DataError, SceneReader
+from omniocc.data.formats.poses import shift
+from omniocc.data.formats.projected import onto_cameras, onto_panorama
+from omniocc.data.labels.observed import observed
+from omniocc.data.labels.voxels import vote
+from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.check import check_scene
+from omniocc.data.store.codec import decode_frame
+from omniocc.errors import UserError
+from omniocc.extras.recorders.labels import read_point_classes
+from omniocc.extras.recorders.log import Log, Scans, Timing, plan_frames
+from omniocc.extras.recorders.log_scene import origin_lines, read_frame
+from omniocc.geometry import Cylinder
+from omniocc.predict.input.poses import read_poses
+
+GRID = Cylinder()
+CLASSES = "classes: classes.yaml"
+NPZ = lidar_option("npz", CLASSES)
+
+
+def record(recorder, root, *overrides) -> SceneReader:
+    (folder,) = recorder(*overrides).record(root)
+    return SceneReader(folder)
+
+
+def same_rate(ours, theirs) -> float:
+    """Return the fraction of equal voxels among those that are occupied in one of the scenes, over all frames."""
+    ours, theirs = (torch.stack([vote(scene, k, GRID) for k in range(len(scene))]) for scene in (ours, theirs))
+    occupied = (ours > 0) | (theirs > 0)
+    return float((ours == theirs)[occupied].float().mean())
+
+
+@pytest.mark.parametrize("kind", ["npz", "bin", "pcd", "ply"])
+def test_an_imported_scene_is_the_exported_one(recorder, original, tmp_path, kind):
+    scene = record(recorder, tmp_path, lidar_option(kind, CLASSES))
+    assert len(scene) == len(original)
+    assert check_scene(scene, len(original), 0.5) == []
+    assert np.array_equal(scene.world_from_ego, original.world_from_ego)
+    np.testing.assert_allclose(scene.time_s, original.time_s, atol=5e-7)  # float64 seconds since 1970
+    assert scene.rig == Rig.load(tmp_path / "train-000-own" / "rig.yaml") == rig_of(original)
+    assert same_rate(scene, original) > 0.999
+    for frame in range(len(scene)):
+        for ours, theirs in zip(scene.images(frame), original.images(frame), strict=True):
+            assert np.abs(ours.astype(int) - theirs).mean() < 2  # JPEG twice
+    assert spec_of(scene).classes == WORLD_CLASSES
+    assert scene.pixel_labels(0) is scene.lidar(0) is None
+    facts = scene.meta["facts"]
+    assert (facts["moving"], facts["missing"], facts["start_s"]) == (None, [], START_NS / 1e9)
+
+
+def test_ranges_are_those_of_the_points_and_sparse(recorder, original, tmp_path):
+    scene = record(recorder, tmp_path, lidar_option("npz"), "panorama=[90,24,45.0,-45.0]", "moving=false")
+    points, ranges, panorama = scene.points(1), scene.camera_range_m(1), scene.erp_range_m(1)
+    assert set(points.labels.tolist()) == {1}
+    assert spec_of(scene).classes == OCCUPANCY_CLASSES
+    assert scene.meta["facts"]["moving"] is False
+    assert panorama.shape == (24, 90)
+    assert 0.05 < np.isfinite(panorama).mean() < 1
+    # every range of a pixel is that of a point which our own projection puts there
+    camera = 2
+    origin = scene.rig.ego_from_camera[camera, :3, 3]
+    pixels, valid = scene.rig.project_into(camera, torch.from_numpy(points.points_m).double())
+    far_m = np.linalg.norm(points.points_m - origin.numpy(), axis=1)
+    for v, u in np.argwhere(np.isfinite(ranges[camera]))[::50]:
+        here = valid.numpy() & (pixels.round().numpy() == (u, v)).all(1)
+        assert abs(far_m[here].min() - ranges[camera][v, u]) < 0.02  # points are stored in steps of 1/128 m
+    # and is at most that of the surface that was rendered, which hides what is behind
+    dense = original.camera_range_m(1)[camera]
+    both = np.isfinite(dense) & np.isfinite(ranges[camera])
+    assert np.median(np.abs(dense - ranges[camera])[both] / dense[both]) < 0.05
+
+
+def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    late_ns, step_s = 100_000_000, original.time_s[1] - original.time_s[0]
+    for frame in range(len(original)):
+        (log / "npz" / f"{stamp_ns(original, frame)}.npz").rename(
+            log / "npz" / f"{stamp_ns(original, frame, late_ns)}.npz"
+        )
+    at_once = SceneReader(recorder(lidar_option("npz")).record(tmp_path / "same")[0])
+    options = lidar_option("npz"), "limit_s=0.2"
+    later = SceneReader(recorder(*options, log=log).record(tmp_path / "later")[0])
+    begin, end = original.world_from_ego[:2]
+    part = late_ns / 1e9 / step_s
+    at_scan = np.eye(4)
+    at_scan[:3, :3] = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))(part).as_matrix()
+    at_scan[:3, 3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
+    motion = np.linalg.inv(begin) @ at_scan
+    assert np.linalg.norm(motion[:3, 3]) > 0.3
+    expected = at_once.points(0).points_m @ motion[:3, :3].T + motion[:3, 3]
+    apart_m, _ = cKDTree(later.points(0).points_m).query(expected)  # stored in another order, in steps of 1/128 m
+    assert len(later.points(0).points_m) == len(expected)
+    assert apart_m.max() < 0.02
+    points_m, rig = later.points(0).points_m, later.rig
+    panorama = Equirectangular(later.erp_range_m(0).shape[1], later.erp_range_m(0).shape[0], 45.0, -45.0)
+    shown = np.stack([image.range_m for image in onto_cameras(points_m, None, rig)]), later.camera_range_m(0)
+    around = onto_panorama(points_m, None, panorama).range_m, later.erp_range_m(0)
+    for projected, stored in (shown, around):
+        both = np.isfinite(projected) & np.isfinite(stored)
+        assert both.sum() > 0.9 * np.isfinite(stored).sum()
+        assert (np.abs(projected - stored)[both] < 0.1).mean() > 0.95
+
+
+def test_scans_beside_sparse_poses_lose_no_frame():
+    """Frames on the stamps of poses that are farther apart than `pose_gap_s`, scans a little later."""
+    at_s = 2.0 * np.arange(3)
+    poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
+    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES)
+    rig = Rig.load("fisheye6")
+    log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans, {})
+    plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
+    assert len(plan.times_s) == 3
+    np.testing.assert_allclose(plan.ego_from_scan[:, 0, 3], 0.025, atol=1e-9)  # at 5 m/s, beyond the last pose too
+
+
+def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):
+    scene = record(recorder, tmp_path)
+    assert scene.index.members == ("frame.json", *(f"rgb{k}.jpg" for k in range(len(original.rig.names))))
+    parts = scene.points, scene.erp_range_m, scene.camera_range_m, scene.pixel_labels, scene.lidar
+    assert [part(0) for part in parts] == [None] * 5
+    frame = decode_frame(scene.read(0, scene.index.members))
+    assert frame.points_m is frame.range_m is frame.semantics is None
+    assert observed(scene, 0, GRID).sum() == 0
+    with pytest.raises(DataError, match=r"no points are recorded.*not training"):
+        vote(scene, 0, GRID)
+
+
+def test_a_scene_is_made_once(recorder, tmp_path):
+    first = recorder().record(tmp_path)[0]
+    before = (first / "meta.json").stat().st_mtime_ns
+    assert recorder().record(tmp_path) == [first]
+    assert (first / "meta.json").stat().st_mtime_ns == before
+    with pytest.raises(DataError, match="made from something else; choose another name, or remove it"):
+        recorder("limit_s=0.02").record(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lidar_option("npz", "own_car_m: [[-1, -1, -3], [1, 1, 3]]"),
+        lidar_option("bin"),
+        "cameras={front: front_left, front_left: front}",
+    ],
+)
+def test_a_corrected_calibration_is_not_taken_for_the_old_one(recorder, original, tmp_path, change):
+    cameras = "cameras={front: front, front_left: front_left}"
+    assert {"front", "front_left"} <= set(original.rig.names)
+    recorder(lidar_option("npz"), cameras).record(tmp_path)
+    changed = [lidar_option("npz"), change] if change.startswith("cameras") else [change, cameras]
+    with pytest.raises(DataError, match="made from something else"):
+        recorder(*changed).record(tmp_path)
+
+
+def test_after_a_damaged_file_only_the_missing_frames_are_made(recorder, original, log_folder, tmp_path, monkeypatch):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    last = sorted((log / original.rig.names[0]).iterdir())[-1]
+    whole = last.read_bytes()
+    last.write_bytes(bytes(len(whole)))
+    with pytest.raises(DataError, match=f"{last.name}: the file is no image"):
+        recorder(log=log).record(tmp_path)
+    last.write_bytes(whole)
+    read = []
+    monkeypatch.setattr(
+        "omniocc.extras.recorders.log_scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
+    )
+    scene = SceneReader(recorder(log=log).record(tmp_path)[0])
+    assert read == [len(original) - 1]
+    assert len(scene) == len(original)
+    assert sorted(path.name for path in scene.folder.iterdir() if path.suffix == ".tmp") == []
+    last.write_bytes(bytes(len(whole)))
+    with pytest.raises(DataError, match="no image"):
+        recorder("limit_s=0.02", log=log, name="val-000").record(tmp_path)
+    last.write_bytes(whole)
+    read.clear()
+    recorder(log=log, name="val-000").record(tmp_path)  # of other options: from the first frame on
+    assert len(read) == len(original)
+
+
+def test_a_wrong_unit_and_a_name_without_a_split_are_said(recorder, tmp_path, capsys):
+    loose = "time_unit=us", "poses_time_unit=us", "limit_s=100", "pose_gap_s=1000"
+    with pytest.raises(UserError, match=r"frames are 500 s apart.*unit of the times right"):
+        recorder(*loose).record(tmp_path)
+    recorder(name="town").record(tmp_path)
+    said = capsys.readouterr().err
+    assert "'town' has to be named in data.source.splits" in said
+    assert "one each 0.5 s" in said
+
+
+def test_images_of_another_size_and_some_cameras(recorder, original, tmp_path):
+    names = original.rig.names[1], original.rig.names[0]
+    cameras = f"cameras={{{names[0]}: {names[0]}, {names[1]}: {names[1]}/*.png}}"
+    scene = record(recorder, tmp_path, cameras, "image_size=[32,18]", f"reference={names[1]}", "road_z_m=-1.5")
+    assert scene.rig.names == names
+    assert [image.shape for image in scene.images(0)] == [(18, 32, 3)] * 2
+    assert scene.rig.road_z_m == spec_of(scene).road_z_m == -1.5
+
+
+def kitti(log, original):
+    rows = original.world_from_ego[:, :3].reshape(-1, 12)
+    (log / "poses.txt").write_text("\n".join(" ".join(map(repr, row)) for row in rows.tolist()))
+    times = [repr(stamp_ns(original, k) / 1e9) for k in range(len(original))]
+    (log / "times.txt").write_text("\n".join(times))
+    return "poses_format=kitti", "poses=poses.txt", "poses_times=times.txt"
+
+
+def tum(log, original):
+    from scipy.spatial.transform import Rotation
+
+    poses = original.world_from_ego
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()  # x, y, z, w
+    rows = np.column_stack([poses[:, :3, 3], quaternions]).tolist()
+    stamps = [repr(stamp_ns(original, k) / 1e9) for k in range(len(original))]
+    lines = [" ".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, rows, strict=True)]
+    (log / "poses.txt").write_text("# time x y z qx qy qz qw\n" + "\n".join(lines))
+    return "poses_format=tum", "poses=poses.txt"
+
+
+@pytest.mark.parametrize("write", [kitti, tum])
+def test_other_formats_of_poses(recorder, original, log_folder, tmp_path, write):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    options = write(log, original)
+    (folder,) = recorder(*options, log=log).record(tmp_path)
+    np.testing.assert_allclose(SceneReader(folder).world_from_ego, original.world_from_ego, atol=1e-9, rtol=0)
+
+
+def test_poses_of_another_frame_and_between_the_images(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    offset = np.eye(4)
+    offset[:3, 3] = 1.0, -0.5, 0.25  # ego_from_pose_frame
+    poses = original.world_from_ego @ offset
+    rows = [[stamp_ns(original, k) / 1e3, *poses[k].ravel().tolist()] for k in range(len(poses))]
+    (log / "poses.csv").write_text("\n".join(",".join(map(repr, row)) for row in rows))
+    option = "ego_from_pose_frame={position_m: [1.0, -0.5, 0.25], quaternion_wxyz: [1, 0, 0, 0]}"
+    (folder,) = recorder(option, "poses_time_unit=us", log=log).record(tmp_path)
+    # the times of the file are rounded to a quarter of a microsecond
+    np.testing.assert_allclose(SceneReader(folder).world_from_ego, original.world_from_ego, atol=1e-4, rtol=0)
+
+
+def test_times_from_a_table(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    lines = ["time,file"]
+    for name in original.rig.names:
+        for k, path in enumerate(sorted((log / name).iterdir())):
+            path.rename(path.with_name(f"image-{k}.png"))
+            lines.append(f"{stamp_ns(original, k)},{name}/image-{k}.png")
+    (log / "times.csv").write_text("\n".join(lines))
+    (folder,) = recorder("times=times.csv", log=log).record(tmp_path)
+    assert np.array_equal(SceneReader(folder).world_from_ego, original.world_from_ego)
+    names = ", ".join(f"{name}: {log / name}/*.png" for name in original.rig.names)
+    (again,) = recorder("times=times.csv", f"cameras={{{names}}}", log=log).record(tmp_path / "absolute")
+    assert np.array_equal(SceneReader(again).images(0), SceneReader(folder).images(0))
+    (log / "times.csv").write_text("\n".join(lines[:-1]))
+    with pytest.raises(DataError, match=r"image-\d+.png: the CSV of times does not list it"):
+        recorder("times=times.csv", log=log).record(tmp_path / "other")
+
+
+def test_a_stop_while_files_are_hashed_loses_no_frame(recorder, original, log_folder, tmp_path, monkeypatch):
+    def stopped(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("omniocc.extras.recorders.log_scene.finish_scene", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            recorder().record(tmp_path)
+    read = []
+    monkeypatch.setattr(
+        "omniocc.extras.recorders.log_scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
+    )
+    (folder,) = recorder().record(tmp_path)
+    assert read == []
+    assert len(SceneReader(folder)) == len(original)
+
+
+def first_image(log, original, camera=1, frame=1):
+    return sorted((log / original.rig.names[camera]).iterdir())[frame]
+
+
+def test_missing_frames_are_listed(recorder, original, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    first_image(log, original).unlink()
+    (folder,) = recorder(lidar_option("npz"), log=log).record(tmp_path)
+    scene = SceneReader(folder)
+    assert len(scene) == len(original) - 1
+    (missing,) = scene.meta["facts"]["missing"]
+    assert missing == {"time_s": stamp_ns(original, 1) / 1e9, "lacks": [original.rig.names[1]]}
+    assert np.array_equal(scene.world_from_ego[0], original.world_from_ego[0])
+    told = capsys.readouterr().err
+    assert f"1 of {len(original)} frames are left out" in told
+    assert f"nothing from {original.rig.names[1]}" in told
+
+
+def test_frames_in_gaps_of_poses_and_scans_are_left_out(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    for path in sorted((log / "bin").glob("*.bin"))[1:]:
+        path.unlink()
+    (folder,) = recorder(lidar_option("bin"), log=log).record(tmp_path)
+    assert len(SceneReader(folder)) == 1
+    lines = (log / "poses.csv").read_text().splitlines()
+    (log / "poses.csv").write_text("\n".join(lines[:2]))
+    scene = SceneReader(recorder(log=log, name="val-000-own").record(tmp_path)[0])
+    assert len(scene) == 1
+    assert [entry["lacks"] for entry in scene.meta["facts"]["missing"]] == [["poses"]] * (len(original) - 1)
+
+
+def empty(log, original):
+    for path in (log / original.rig.names[0]).iterdir():
+        path.unlink()
+
+
+def damage(path, content=b"nothing"):
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("options", "harm", "words"),
+    [
+        (["time_unit=us", "poses_time_unit=ns"], None, "comes no nearer than"),
+        (["time_unit=ms", "poses_time_unit=ns"], None, "Are the units of its times right"),
+        (["cameras={frnt: front}"], None, "cameras: the rig has no camera 'frnt'; it has front"),
+        (["cameras={front: nowhere}"], None, "cameras.front=nowhere: there is no folder"),
+        (["cameras={front: front/*.jpeg}"], None, "holds none of .png"),
+        (["reference=middle"], None, "reference=middle is no camera; cameras: front"),
+        ([], empty, "holds none of .png, .jpg"),
+        ([], lambda log, scene: damage(first_image(log, scene)), "the file is no image, or damaged"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,2,3\n"), "line 1: 2 numbers of a pose"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"t\n"), "holds no poses; is poses_format=csv right?"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,2,0,0,0"), "line 1: the pose: rotation"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,1,0,0,0\n" * 2), "line 2: a pose of this time"),
+        ([], lambda log, scene: (log / "poses.csv").unlink(), "poses.csv: the file is missing"),
+        (["poses_format=kitti"], None, "poses_times is for poses_format=kitti, and needed there"),
+        (["rig=nothing.yaml"], None, "no rig file 'nothing.yaml'"),
+        (
+            [NPZ],
+            lambda log, scene: damage(log / "classes.yaml", b"1: Road"),
+            "the class ids [",
+        ),
+        ([NPZ], lambda log, scene: damage(log / "classes.yaml", b"[]"), "it must map ids"),
+        (
+            [NPZ],
+            lambda log, scene: damage(log / "classes.yaml", b"1: free"),
+            "the name 'free'",
+        ),
+        ([lidar_option("bin", CLASSES)], lambda log, scene: unlabel(log), "its points have no class ids"),
+        ([lidar_option("bin", "columns: 7")], None, "it is damaged"),
+        (
+            [lidar_option("ply")],
+            lambda log, scene: damage(sorted((log / "ply").iterdir())[0]),
+            "the header of a PLY file is missing",
+        ),
+        ([lidar_option("empty")], lambda log, scene: (log / "empty").mkdir(), "lidar.folder=empty:"),
+    ],
+)
+def test_mistakes_get_one_line(recorder, original, log_folder, tmp_path, options, harm, words):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    if harm is not None:
+        harm(log, original)
+    with pytest.raises((UserError, DataError)) as caught:
+        recorder(*options, log=log).record(tmp_path / "scenes")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "scenes" / "train-000-own").exists()
+
+
+def unlabel(log):
+    for path in (log / "bin").glob("*.label"):
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("limit_s=0", "limit_s is 0; it must be above 0"),
+        ("interval_s=-1", "interval_s is -1; it must be above 0"),
+        ("name=a/b", "name is 'a/b'"),
+        ("lidar={folder: npz}", "lidar.ego_from_lidar is missing"),
+        ("lidar={foldr: npz}", "lidar has no option foldr"),
+        ("lidar={folder: npz, ego_from_lidar: [1, 2]}", "lidar.ego_from_lidar is [1, 2]; give rows"),
+        ("ego_from_pose_frame={position_m: [0, 0, 0]}", "it needs position_m and quaternion_wxyz"),
+        ("panorama=[720,180,-45.0,45.0]", "need -90 <= bottom_deg < top_deg"),
+        ("time_unit=minutes", "time_unit: 'minutes' is not one of 's', 'ms', 'us', 'ns'"),
+    ],
+)
+def test_impossible_options_are_refused_before_anything_is_read(recorder, override, words):
+    with pytest.raises(UserError) as caught:
+        recorder(override)
+    assert words in str(caught.value)
+
+
+def test_the_own_car_is_left_out(recorder, tmp_path):
+    box = "own_car_m: [[-4, -2, -3], [4, 2, 3]]"
+    scene = record(recorder, tmp_path, lidar_option("npz", box))
+    points = scene.points(0).points_m
+    assert len(points)
+    assert not (np.abs(points) < (3.99, 1.99, 2.99)).all(1).any()
+
+
+def test_classes_of_a_logs_own(recorder, log_folder, original, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rows = [f"{row.id}: way" if row.id < 4 else f"{row.id}: thing" for row in WORLD_CLASSES.rows if row.id > 1]
+    (log / "classes.yaml").write_text("\n".join(["1: {name: way, rgb: [1, 2, 3]}", *rows, "255: unknown"]))
+    (folder,) = recorder(lidar_option("npz", CLASSES), log=log).record(tmp_path)
+    scene = SceneReader(folder)
+    classes = spec_of(scene).classes
+    assert classes.names == ("free", "way", "thing")
+    assert classes.rows[1].rgb == (1, 2, 3)
+    ours, theirs = np.sort(scene.points(0).labels), original.points(0).labels
+    expected = np.where(theirs == UNKNOWN, UNKNOWN, np.where(theirs < 4, 1, 2))
+    assert np.array_equal(ours, np.sort(expected))
+
+
+@pytest.mark.parametrize("rgb", ["5", "[1, 2]", "[1, 2, 300]", "[1, 2, 0.5]"])
+def test_a_colour_is_three_numbers(rgb, tmp_path):
+    (tmp_path / "classes.yaml").write_text(f"1: {{name: way, rgb: {rgb}}}\n")
+    with pytest.raises(DataError, match=r"id 1 has rgb: .*; give three whole numbers from 0 to 255"):
+        read_point_classes(tmp_path / "classes.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1: way\n2: car\n1: car", "line 3: the key 1 is in line 1 already; keep one"),
+        ("1: {name: way, rgb: [1, 2, 3], name: car}", "line 1: the key 'name' is in line 1 already"),
+        ("1: {name: way, rgb: [1, 2, 3]}\n2: {name: way, rgb: [1, 2, 4]}", "the class 'way' has the colours"),
+        (
+            "1: !!python/name:os.system",
+            "line 1: the tag 'tag:yaml.org,2002:python/name:os.system' is none",
+        ),
+        ("[" * 1000, "line 1: it is nested in more than 100 levels"),
+        ("1: way\0", "it is no text in UTF-8: line 1 holds the byte 0x00"),
+    ],
+)
+def test_a_class_has_one_name_and_colour(tmp_path, text, message):
+    (tmp_path / "classes.yaml").write_text(text)
+    with pytest.raises(DataError, match=r"classes\.yaml: ") as caught:
+        read_point_classes(tmp_path / "classes.yaml")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
+    """The CSV of `predict.py` has names for times; with numbers as names both readers give the same poses."""
+    from omniocc.extras.recorders.poses import read_timed_poses
+
+    path = tmp_path / "poses.csv"
+    path.write_text("frame,x_m,y_m,z_m,qw,qx,qy,qz\n3,1,2,3,0.6,0,0,0.8\n7,4,5,6,1,0,0,0\n")
+    found = read_timed_poses(path, "csv", "s")
+    assert found.times_s.tolist() == [3, 7]
+    np.testing.assert_allclose(found.poses, read_poses(path, ["3", "7"]).numpy(), atol=1e-15)
+
+
+def test_an_origin_beside_the_cameras_is_told():
+    rig = Rig.load("fisheye6")
+    assert origin_lines(rig) == []
+    rear_axle = rig.ego_from_camera.clone()
+    rear_axle[:, 0, 3] += 1.4
+    (line,) = origin_lines(replace(rig, ego_from_camera=rear_axle))
+    assert line.startswith("the middle of the cameras is 1.4 m ahead of the ego origin and 0.0 m to its left")
+
+
+def rewrite(log, change, frames=None):
+    """Replace the points of the scans `npz` of a log, all or the first ones, by a function of points and labels."""
+    for path in sorted((log / "npz").iterdir())[:frames]:
+        with np.load(path) as content:
+            points, labels = change(content["points"], content["labels"])
+        np.savez(path, points=points, labels=labels)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda points, labels: (points * 1000, labels), "looks like millimetres"),
+        (lambda points, labels: (points + np.float64([5e5, 5e6, 400]), labels), "looks like world coordinates (UTM"),
+        (
+            lambda points, labels: (points * 0, labels),
+            "none of its 0 points lies within 25.6 m: rays",
+        ),
+    ],
+)
+def test_a_log_without_a_point_within_reach_is_refused_before_anything_is_written(
+    recorder, log_folder, tmp_path, change, words
+):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, change)
+    with pytest.raises(DataError) as caught:
+        recorder(NPZ, log=log).record(tmp_path / "scenes")
+    assert "all 2 frames have hardly any points, in the first of them " in str(caught.value)
+    assert str(caught.value).startswith(f"{min((log / 'npz').iterdir())}: ")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "scenes").glob("*"))
+
+
+def test_a_lidar_that_looks_far_ahead_alone_is_recorded(recorder, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, lambda points, labels: (points + np.float32([0, 90, 0]), labels))
+    assert len(SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])) == 2
+    assert "2 of 2 frames have hardly any points, in the first of them none of its" in capsys.readouterr().err
+
+
+def test_frames_without_a_point_within_reach_are_said(recorder, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, lambda points, labels: (points * 1000, labels), frames=1)
+    scene = SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])
+    assert len(scene) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "hardly any" in line]
+    assert line.startswith("scene 'train-000-own': 1 of 2 frames have hardly any points, in the first of them ")
+    assert "looks like millimetres" in line
+
+
+def test_rays_that_did_not_come_back_are_nowhere_in_a_recording(recorder, log_folder, tmp_path):
+    """The LiDAR is 0.93 m from the ego origin: there (0, 0, 0) of its frame would be a point."""
+    log = shutil.copytree(log_folder, tmp_path / "log")
+
+    def with_lost(points, labels):
+        lost = np.array([[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]], np.float32)
+        return np.concatenate([lost, points]), np.concatenate([[np.nan, np.nan, 3.6], labels])
+
+    rewrite(log, with_lost)
+    whole = record(recorder, tmp_path / "whole", NPZ)
+    found = SceneReader(recorder(NPZ, log=log).record(tmp_path / "lost")[0])
+    for frame in range(len(whole)):
+        for ours, theirs in zip(found.points(frame), whole.points(frame), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(found.erp_range_m(frame), whole.erp_range_m(frame))
+        np.testing.assert_array_equal(found.camera_range_m(frame), whole.camera_range_m(frame))
+
+
+def test_images_are_what_the_sensor_saw(recorder, original, log_folder, tmp_path):
+    log = tmp_path / "log"
+    shutil.copytree(log_folder, log)
+    path = sorted((log / original.rig.names[0]).iterdir())[0]
+    image, exif = original.images(0)[0], Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(image).save(path, exif=exif)
+    with recorder(log=log).open() as opened:
+        plain = opened.inputs
+        assert np.array_equal(opened.read_image(0, 0)[0], image)
+    ramp = np.linspace(0, 4095, image[..., 0].size).round().astype(np.uint16).reshape(image.shape[:2])
+    cv2.imwrite(str(path), ramp)
+    with (
+        recorder(log=log).open() as opened,
+        pytest.raises(DataError, match=rf"{path.name}: .* reach 4095.*set recorder\.image_bits=12"),
+    ):
+        opened.read_image(0, 0)
+    with recorder("image_bits=12", log=log).open() as opened:
+        assert np.array_equal(opened.read_image(0, 0)[0][..., 1], (ramp * (255 / 4095)).round())
+        assert set(map(str, opened.inputs)) - set(map(str, plain)) >= {"recorder.image_bits=12"}
+    with pytest.raises(ValueError, match=r"recorder\.image_bits is 7; it must be 8 to 16"):
+        recorder("image_bits=7", log=log)

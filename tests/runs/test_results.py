@@ -1,0 +1,68 @@
+"""Figures of later tests of a run."""
+
+import json
+
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.runs.folder import git_commit
+from omniocc.runs.results import (
+    FROM_TRAJECTORY,
+    OVERRIDES,
+    load_results,
+    made_by_other_code,
+    save_results,
+    trajectory_figures,
+)
+
+METRICS = {"test/rayiou": 0.2, "test/rayiou_past": 0.25, "test/rayiou_now": 0.3, "prior/rayiou": 0.1}
+
+
+def test_scores_by_origin_are_those_of_the_later_test(tmp_path):
+    assert trajectory_figures(tmp_path, "abc") == {}
+    save_results(tmp_path / FROM_TRAJECTORY, METRICS, {"data": "abc", OVERRIDES: []})
+    assert trajectory_figures(tmp_path, "abc") == {
+        "test/trajectory/rayiou": 0.2, "test/trajectory/rayiou_past": 0.25, "test/trajectory/rayiou_now": 0.3,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{"data": "other", OVERRIDES: []}, {"data": "abc", OVERRIDES: ["model.sketch.threshold=0.5"]}, {"data": "abc"}],
+)
+def test_a_test_of_another_model_or_on_other_data_does_not_count(tmp_path, facts):
+    save_results(tmp_path / FROM_TRAJECTORY, METRICS, facts)
+    assert trajectory_figures(tmp_path, "abc") == {}
+
+
+def test_a_run_of_another_commit_is_named(tmp_path):
+    save_results(tmp_path, {"test/rayiou": 0.5}, {"commit": git_commit()})
+    assert made_by_other_code(tmp_path) == ""
+    save_results(tmp_path, {"test/rayiou": 0.5}, {"commit": "abc1234"})
+    assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"
+
+
+@pytest.mark.parametrize(("score", "said"), [(10**400, "int too large"), (float("inf"), "test/rayiou is infinite")])
+def test_a_score_that_no_float_holds_is_refused(score, said, tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": score}}))
+    with pytest.raises(UserError, match=rf"metrics\.json is damaged \({said}"):
+        load_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [
+        ("seed", {"a": 1}),
+        ("seed", "1"),
+        ("minutes of training", "a"),
+        ("minutes of training", 10**400),
+        ("protocol", "rays"),
+        ("protocol", {"rayiou": "<script>"}),
+        ("classes", [1]),
+        ("preset", 3),
+    ],
+)
+def test_facts_of_other_types_are_refused(fact, value, tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": 0.5}, "seed": 1, fact: value}))
+    with pytest.raises(UserError, match=rf"metrics\.json is damaged \(.*{fact}"):
+        load_results(tmp_path)
