@@ -9,7 +9,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from omniocc.extras.viewer.command import shown
+from omniocc.extras.viewer.command import open_viewer
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.submission import changed_places, predict_submission
@@ -20,7 +20,7 @@ from omniocc.runs.script import quiet_libraries, script
 def depth(cfg: DictConfig) -> None:
     """Predict a range panorama for every frame."""
     overrides = [str(override) for override in HydraConfig.get().overrides.task]
-    with shown(cfg.viewer, f"depth, {cfg.output}", "RangeStream") as stream:
+    with open_viewer(cfg.viewer, f"depth, {cfg.output}", "RangeStream") as stream:
         predict_panoramas(cfg, overrides, stream)
 
 
@@ -29,7 +29,7 @@ def occupancy(cfg: DictConfig) -> None:
     """Predict the voxels of every frame."""
     quiet_libraries()
     options = options_of(cfg)
-    with shown(options.viewer, f"occupancy, {options.output}", "VoxelStream") as stream:
+    with open_viewer(options.viewer, f"occupancy, {options.output}", "VoxelStream") as stream:
         predict_occupancy(options, stream)
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from omniocc.progress import STATUS_FILE, Progress, Status, clock, read_status, waiting, write_status
+from omniocc.progress import STATUS_FILE, Progress, Status, clock, read_status, show_waiting, write_status
 
 
 def test_frames_that_were_there_do_not_count_as_fast(monkeypatch, capsys):
@@ -75,7 +75,7 @@ def test_waiting_ends_with_the_next_count(tmp_path, monkeypatch, capsys):
 def test_a_block_of_waiting_is_reported(tmp_path, monkeypatch, capsys):
     path = tmp_path / "status.json"
     monkeypatch.setenv(STATUS_FILE, str(path))
-    with waiting("depth", "waits for its folder"):
+    with show_waiting("depth", "waits for its folder"):
         assert read_status(path) == Status("waiting", "depth waits for its folder")
     assert read_status(path) == Status("running", "depth")
     assert capsys.readouterr().out == "depth waits for its folder\n"

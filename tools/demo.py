@@ -16,7 +16,7 @@ from omniocc.io import atomic_write
 from omniocc.runs.folder import IMAGES, METRICS, PAGE
 from omniocc.runs.results import EARLIER_MINUTES, MINUTES, load_results
 from omniocc.runs.script import quiet_libraries
-from omniocc.runs.table import BASELINE, BOUND, compared, in_columns, markdown
+from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped
 
 ROOT = Path(__file__).parents[1]
@@ -77,7 +77,7 @@ def main(preset: str, full: bool) -> None:
     run("train.py", overrides)
     folder, _ = folder_of({"stage": "occupancy", "overrides": overrides}, ROOT / "runs")
     other = evaluated(folder, overrides) if preset == PRESET and WEIGHTS in shipped() else None
-    table = compared(rows_of(folder, other))
+    table = comparison_cells(rows_of(folder, other))
     atomic_write(folder / TABLE, markdown(*table))
     print("\n" + in_columns(*table))
     for name in (folder, other):

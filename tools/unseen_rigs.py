@@ -23,13 +23,13 @@ from omniocc.data.dataset import read_images
 from omniocc.data.labels.counts import all_frames
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.metric import Calibration, DepthMetrics
+from omniocc.metric import CalibrationError, DepthMetrics
 from omniocc.model.depth import DepthMap
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.progress import Progress
 from omniocc.runs.script import quiet_libraries
-from omniocc.train.depth import FARTHEST_M, judged
+from omniocc.train.depth import FARTHEST_M, score_confidence
 from omniworld.drawn import car_places, rig_at, ring_places
 
 ROOT = Path(__file__).parents[1]
@@ -88,7 +88,7 @@ class Scores:
 
     def __init__(self, nearest_m: float, edges_m: tuple[float, ...]):
         self.errors = DepthMetrics(nearest_m, FARTHEST_M, range_edges_m=edges_m)
-        self.by_cameras = {"one camera": Calibration(), "several": Calibration()}
+        self.by_cameras = {"one camera": CalibrationError(), "several": CalibrationError()}
         self.answered, self.asked = 0, 0
 
     def update(self, depth: DepthMap, true_range_m: Float[Tensor, "1 h w"], cameras: Tensor) -> None:
@@ -96,7 +96,7 @@ class Scores:
         seen = (cameras > 0).unsqueeze(0) & true_range_m.isfinite()
         self.errors.update(depth.range_m, true_range_m, seen)
         for metric, chosen in zip(self.by_cameras.values(), (cameras == 1, cameras > 1), strict=True):
-            rows = judged(depth._replace(valid=depth.valid & chosen), true_range_m)
+            rows = score_confidence(depth._replace(valid=depth.valid & chosen), true_range_m)
             metric.update(rows[:, 0], rows[:, 2] > 0)
         self.answered += int((depth.valid & seen).sum())
         self.asked += int(seen.sum())

@@ -29,7 +29,7 @@ def in_line(text: str) -> str:
     return shortened(text if text.isprintable() else repr(text)[1:-1], LONGEST_OF_FILES)
 
 
-def shown(value: object) -> str:
+def repr_of(value: object) -> str:
     """Return a value for a message, of a long one both ends."""
     return shortened(repr(value), 80)
 

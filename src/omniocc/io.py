@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, UserError, first_line, shown
+from omniocc.errors import DataError, UserError, first_line, repr_of
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -60,7 +60,7 @@ def checked_name(what: str, name: object) -> str:
     if isinstance(name, str) and can_be_in_paths(name):
         return name
     raise UserError(
-        f"{what} is {shown(name)}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
+        f"{what} is {repr_of(name)}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
         f"{' '.join(sorted(NOT_IN_NAMES))}, no point first, no space first or last"
     )
 
@@ -205,7 +205,7 @@ def number_of(text: str) -> float:
         ValueError: if it is no finite number as files have them: Python also reads `1_0` and digits of other scripts.
     """
     if not NUMBER.fullmatch(text.strip()) or not math.isfinite(value := float(text)):
-        raise ValueError(f"{shown(text)} is no finite number")
+        raise ValueError(f"{repr_of(text)} is no finite number")
     return value
 
 
@@ -355,7 +355,7 @@ class _Loader(YAML):
                 str(value)  # ValueError for thousands of hexadecimal digits, which no message could show
             return value
         except (AttributeError, KeyError, ValueError) as error:
-            problem = f"{shown(node.value)} is no {node.tag.rpartition(':')[2]}"
+            problem = f"{repr_of(node.value)} is no {node.tag.rpartition(':')[2]}"
             raise ConstructorError(problem=problem, problem_mark=node.start_mark) from error
 
 

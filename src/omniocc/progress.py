@@ -159,7 +159,7 @@ class Progress:
 
 
 @contextlib.contextmanager
-def waiting(title: str, reason: str) -> Iterator[None]:
+def show_waiting(title: str, reason: str) -> Iterator[None]:
     """Print and report that the work `title` waits inside this block for another process."""
     print(f"{title} {reason}", flush=True)
     write_status(Status("waiting", f"{title} {reason}"))

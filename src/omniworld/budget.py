@@ -28,7 +28,7 @@ def frame_bytes(world: VirtualWorld) -> int:
     return round(cameras + panorama + points + OTHER_BYTES)
 
 
-def begun(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
+def half_recorded(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
     """Return the folders in which an interrupted run has left frames of these scenes."""
     folders = [world.folder / f"{plan.name}.partial" for plan in missing]
     return [folder for folder in folders if folder.is_dir()]
@@ -36,7 +36,7 @@ def begun(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
 
 def bytes_to_come(world: VirtualWorld, missing: Sequence[ScenePlan]) -> int:
     """Return the number of bytes that rendering these scenes will still write after an interrupted run."""
-    written = sum(path.stat().st_size for folder in begun(world, missing) for path in folder.glob("*.tar"))
+    written = sum(path.stat().st_size for folder in half_recorded(world, missing) for path in folder.glob("*.tar"))
     return max(0, len(missing) * world.frames_per_scene * frame_bytes(world) - written)
 
 

@@ -15,7 +15,7 @@ from omniocc.data.store.check import survey, survey_scene
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.progress import clock
-from omniworld.budget import announcement, begun, size
+from omniworld.budget import announcement, half_recorded, size
 from omniworld.class_fractions import fraction_table
 from omniworld.source import ScenePlan, VirtualWorld
 
@@ -60,7 +60,7 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
     missing = world.missing(plans)
     if isinstance(world.place, Path):
         print(announcement(world, plans), flush=True)
-    timed = missing and not begun(world, missing)
+    timed = missing and not half_recorded(world, missing)
     began_s = time.monotonic()
     world.prepare(plans)
     elapsed_s = time.monotonic() - began_s

@@ -125,7 +125,7 @@ def draw_lens(rng: Draw, lens: str, width: int, height: int, field_deg: float, f
             return shape(focal_px, center, width, height)
 
 
-def disturbed(rng: Draw, rig: Rig, angle_deg: float, distance_m: float) -> Rig:
+def perturb_rig(rng: Draw, rig: Rig, angle_deg: float, distance_m: float) -> Rig:
     """Return the rig with poses that are wrong by about this much, as calibrations are."""
     poses = rig.ego_from_camera.clone()
     for pose in poses:

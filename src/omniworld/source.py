@@ -21,7 +21,7 @@ from omniocc.geometry import Grid
 from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
-from omniworld.drawn import RANDOM, VERSION, disturbed, draw_rig
+from omniworld.drawn import RANDOM, VERSION, perturb_rig, draw_rig
 from omniworld.fingerprint import variations_code, world_code
 from omniworld.render.own_car import mask_ego_car, road_of
 from omniworld.render.weather import WEATHERS, Weather, draw_weather
@@ -243,7 +243,7 @@ class VirtualWorld:
         masked = mask_ego_car(self.rig_of(plan))
         if self.rig is not None:
             return masked
-        return disturbed(seeding.generator(plan.theme, plan.seed, "calibration"), masked, **CALIBRATION_ERROR)
+        return perturb_rig(seeding.generator(plan.theme, plan.seed, "calibration"), masked, **CALIBRATION_ERROR)
 
     def weather_of(self, plan: ScenePlan) -> str:
         """Return the weather of one scene."""

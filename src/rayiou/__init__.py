@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
-from rayiou.directions import RayOrigins, eight_origins, sparseocc_directions, trajectory_origins
+from rayiou.directions import RayOrigins, sparseocc_origins, sparseocc_directions, trajectory_origins
 from rayiou.grid import Grid
-from rayiou.raycast.fans import Fans, Scan
+from rayiou.raycast.fans import RayFans, RayScan
 from rayiou.raycast.table import RayTable, ray_table
-from rayiou.raycast.trace import Hits, Paths
-from rayiou.resample import cells_of_middles, look_up, resample
-from rayiou.vote import downsample, majority
+from rayiou.raycast.trace import Hits, RayPaths
+from rayiou.resample import center_cell_indices, sample_nearest, resample
+from rayiou.vote import downsample, majority_vote
 
 if TYPE_CHECKING:
     from rayiou.first_hits import ray_hits

@@ -54,7 +54,7 @@ def rays_around(azimuths: int) -> Float64[Tensor, "R 3"]:
     return torch.stack([level[0] * level[1].cos(), level[0] * level[1].sin(), up], -1).reshape(-1, 3)
 
 
-def eight_origins(
+def sparseocc_origins(
     positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
 ) -> Float[Tensor, "O 3"]:
     """Return the origins from which the public protocol casts the rays of one frame.

@@ -14,8 +14,8 @@ from rayiou.labels import NUM_CLASSES
 from rayiou.lattice import Lattice
 from rayiou.raycast.crossings import Rays
 from rayiou.raycast.table import cast
-from rayiou.raycast.trace import Hits, Paths, paths
-from rayiou.vote import majority
+from rayiou.raycast.trace import Hits, RayPaths, paths
+from rayiou.vote import majority_vote
 from rayiou.warp import Corners, interpolate, trilinear
 
 
@@ -36,7 +36,7 @@ class Grid(Lattice):
             ValueError: if a label is free or not a class.
         """
         cells, inside = self.flat_index(points)
-        return majority(cells[inside], labels[inside], self.num_cells, num_classes).reshape(self.shape)
+        return majority_vote(cells[inside], labels[inside], self.num_cells, num_classes).reshape(self.shape)
 
     def dilate(
         self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int], behind: int = 0
@@ -105,7 +105,7 @@ class Grid(Lattice):
         """Return which current cells had their centre inside the past frame's grid."""
         return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
 
-    def paths(self, origins: Rays, directions: Rays) -> Paths:
+    def paths(self, origins: Rays, directions: Rays) -> RayPaths:
         """Return all cells that each ray crosses, in order (see `rayiou.raycast.trace.paths`)."""
         return paths(self, origins, directions)
 

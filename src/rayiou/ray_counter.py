@@ -23,7 +23,7 @@ from rayiou.cylinder import Cylinder
 from rayiou.directions import sparseocc_directions
 from rayiou.protocol import RaysSeen, dropped_text, error_text, free_text, mean_text, rays_text
 from rayiou.ray_counts import TIMES, RayCounts, count_rays, ray_scores
-from rayiou.raycast.fans import Scan
+from rayiou.raycast.fans import RayScan
 from rayiou.raycast.table import RayTable, ray_table
 from rayiou.raycast.trace import Hits
 from rayiou.setting import hash_of
@@ -70,12 +70,12 @@ def tensors_of(
     return preds, *as_tensors(device, target=target), origins, observed, times
 
 
-def scan_of(directions: Float[Array, "D 3"] | None) -> Scan:
+def scan_of(directions: Float[Array, "D 3"] | None) -> RayScan:
     """Return these rays, ready to be cast from any origin; those of the public RayIoU for None."""
     if directions is None:
-        return Scan(sparseocc_directions())
+        return RayScan(sparseocc_directions())
     (given,) = as_tensors("cpu", directions=directions)
-    return Scan(given if given.is_floating_point() else given.double())
+    return RayScan(given if given.is_floating_point() else given.double())
 
 
 class RayCounter:

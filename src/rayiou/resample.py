@@ -60,20 +60,20 @@ def resample(
     return chosen.to(torch.uint8).reshape(target.shape)
 
 
-def look_up(labels: UInt8[Tensor, "B X Y Z"], source: Grid, target: Grid) -> UInt8[Tensor, "B U V W"]:
+def sample_nearest(labels: UInt8[Tensor, "B X Y Z"], source: Grid, target: Grid) -> UInt8[Tensor, "B U V W"]:
     """Return the class at the middle of every cell of `target`; free outside of `source`.
 
     So predictions are scored: on the cells of the dataset, whatever the grid of the model.
     """
     if source == target:
         return labels
-    cells = cells_of_middles(source, target).to(labels.device).long()
+    cells = center_cell_indices(source, target).to(labels.device).long()
     padded = torch.cat([labels.flatten(1), labels.new_full((len(labels), 1), FREE)], dim=1)
     return padded[:, cells].reshape(len(labels), *target.shape)
 
 
 @lru_cache(maxsize=4)
-def cells_of_middles(source: Grid, target: Grid) -> Int32[Tensor, " cells"]:
+def center_cell_indices(source: Grid, target: Grid) -> Int32[Tensor, " cells"]:
     """Return the source cell of every target cell's middle, `source.num_cells` where it is outside."""
     index, inside = source.flat_index(target.centers(torch.float64).reshape(-1, 3))
     return torch.where(inside, index, source.num_cells).to(torch.int32)

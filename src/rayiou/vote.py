@@ -7,7 +7,7 @@ from torch import Tensor
 from rayiou.labels import FREE, NUM_CLASSES, UNKNOWN, ids_beyond
 
 
-def majority(
+def majority_vote(
     cells: Int64[Tensor, " P"], labels: Shaped[Tensor, " P"], num_cells: int, num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, " cells"]:
     """Return the most frequent class of the points in each cell.

@@ -23,7 +23,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "src"))
 
-from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
+from omniocc.geometry import Cuboid, Cylinder, RayTable, RayScan
 from omniocc.metric import RayIoU, sparseocc_directions
 
 ROAD_CELLS = 2
@@ -73,7 +73,7 @@ def timed(work: Callable[[], object], repeats: int) -> Time:
     return Time(min(spent), statistics.median(spent))
 
 
-def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: Scan, repeats: int) -> Floor:
+def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: RayScan, repeats: int) -> Floor:
     """Count cells and columns up to the first hit on the paths of all rays, and time a pass over their bytes."""
     hits = RayTable(grid, scan.fans(origins)).cast(labels)
     cells = columns = 0
@@ -89,7 +89,7 @@ def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Ten
     return Floor(cells, columns, 4 * columns, pass_.best_s)
 
 
-def measure(grid: Cylinder | Cuboid, scan: Scan, repeats: int) -> dict[str, float]:
+def measure(grid: Cylinder | Cuboid, scan: RayScan, repeats: int) -> dict[str, float]:
     """Print one block; return Mray/s (best) by name."""
     origins, labels = spiral_origins(grid.bounds[0][1]), scene(grid)
     rays = len(origins) * len(scan)
@@ -132,7 +132,7 @@ def measure_update(grid: Cylinder | Cuboid, repeats: int) -> float:
 def main(threads: int = 2, repeats: int = 15) -> None:
     """Print one block per grid."""
     torch.set_num_threads(threads)
-    scan = Scan(sparseocc_directions())
+    scan = RayScan(sparseocc_directions())
     for grid in PAPER:
         measure(grid, scan, repeats)
     for grid in (Cylinder((64, 100, 8)), *PAPER):

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "src"))
 
 from omniocc.geometry import Cuboid, Cylinder  # noqa: E402
-from rayiou.raycast.fans import Fans  # noqa: E402
+from rayiou.raycast.fans import RayFans  # noqa: E402
 from rayiou.raycast.tensor_table import TensorTable  # noqa: E402
 
 RAYS_PER_GRID = 1000
@@ -83,7 +83,7 @@ def check_grid(seed: int, compare: Callable[..., float], first_hits: Callable[..
     labels = torch.randint(1, 12, grid.shape, generator=generator, dtype=torch.uint8)
     labels[torch.rand(grid.shape, generator=generator) < torch.rand((), generator=generator)] = 0
     expected = first_hits(grid, labels, origins, directions)
-    on_tensors = TensorTable(grid, Fans.single(origins, directions)).cast_all([labels])[0]
+    on_tensors = TensorTable(grid, RayFans.single(origins, directions)).cast_all([labels])[0]
     for hits in (grid.cast(labels, origins, directions), on_tensors):
         assert torch.equal(hits.cells, expected[0]), (seed, grid)
         assert torch.equal(hits.labels, expected[1]), (seed, grid)

@@ -11,7 +11,7 @@ from omniworld.drawn import (
     HEIGHT_M,
     LENSES,
     car_places,
-    disturbed,
+    perturb_rig,
     draw_lens,
     draw_rig,
     ring_places,
@@ -78,7 +78,7 @@ def test_rings_look_outwards_and_cars_to_all_sides():
 
 def test_a_disturbed_rig_is_rigid_and_near():
     rig = rigs(1)[0]
-    other = disturbed(np.random.default_rng(0), rig, 0.1, 0.003)
+    other = perturb_rig(np.random.default_rng(0), rig, 0.1, 0.003)
     assert other != rig
     change = torch.linalg.inv(rig.ego_from_camera) @ other.ego_from_camera
     angle = torch.acos(((change[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1) - 1) / 2).clamp(max=1))

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.camera.miscalibrated import moved, rotations, turned, with_focal_factor, with_focal_factors
+from omniocc.camera.miscalibrated import displaced_rig, rotations, turned, with_focal_factor, with_focal_factors
 from omniworld.drawn import _DRAW, draw_lens
 
 RIG = Rig.load("fisheye6").resized(64, 36)
@@ -33,7 +33,7 @@ def test_a_rotation_is_that_of_rodrigues():
 
 
 def test_cameras_are_moved_by_exactly_this_distance():
-    wrong = moved(RIG, AXES, 0.03)
+    wrong = displaced_rig(RIG, AXES, 0.03)
     shift = wrong.ego_from_camera[:, :3, 3] - RIG.ego_from_camera[:, :3, 3]
     torch.testing.assert_close(shift.norm(dim=1), torch.full((6,), 0.03, dtype=torch.float64))
     torch.testing.assert_close(shift, 0.03 * AXES / AXES.norm(dim=1, keepdim=True))

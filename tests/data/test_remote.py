@@ -182,7 +182,7 @@ def answered(monkeypatch):
 @pytest.mark.usefixtures("answered")
 def test_a_store_that_stops_answering_is_asked_again_and_says_so_once(monkeypatch, capsys):
     store = Store([ConnectionError("cut"), TimeoutError(), OSError(5, "no route")], monkeypatch)
-    assert files.asked(store.request, "s3://bucket/data/scene/meta.json") == b"content"
+    assert files.request_with_retries(store.request, "s3://bucket/data/scene/meta.json") == b"content"
     assert store.now_s == 1 + 2 + 4
     assert capsys.readouterr().err.splitlines() == [
         "s3://bucket/data/scene/meta.json: no answer (ConnectionError: cut); trying again for 300 s",
@@ -194,7 +194,7 @@ def test_a_store_that_stops_answering_is_asked_again_and_says_so_once(monkeypatc
 def test_a_store_that_stays_away_ends_with_its_error_after_some_minutes(monkeypatch):
     store = Store([ConnectionError(f"cut {number}") for number in range(100)], monkeypatch)
     with pytest.raises(ConnectionError, match="cut"):
-        files.asked(store.request, "s3://bucket/meta.json")
+        files.request_with_retries(store.request, "s3://bucket/meta.json")
     assert store.now_s == files.RETRY_FOR_S
     assert 20 < store.requests < 30
 
@@ -211,7 +211,7 @@ def test_a_store_that_stays_away_ends_with_its_error_after_some_minutes(monkeypa
 def test_what_asking_again_cannot_mend_is_raised_at_once(url, error, monkeypatch):
     store = Store([error], monkeypatch)
     with pytest.raises(type(error)):
-        files.asked(store.request, url)
+        files.request_with_retries(store.request, url)
     assert store.requests == 1
 
 

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from omniocc.loss import CrossEntropy, Dice, Lovasz, Scal
+from omniocc.loss import CrossEntropy, Dice, Lovasz, SceneClassAffinity
 
-LOSSES = [CrossEntropy(2.0, 12), Scal(), Dice(), Lovasz()]
+LOSSES = [CrossEntropy(2.0, 12), SceneClassAffinity(), Dice(), Lovasz()]
 by_name = pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: type(loss).__name__)
 
 

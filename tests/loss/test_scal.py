@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from omniocc.loss import Scal
+from omniocc.loss import SceneClassAffinity
 from omniocc.loss.scal import geometric_scal, semantic_scal
 from omniocc.loss.soft_confusion import soft_confusion
 
@@ -58,10 +58,10 @@ def test_all_free_scores_only_the_free_voxels(batch_of):
 def test_sum_of_both(batch_of):
     logits, target = batch_of([0, 1, 2, 255], 5)
     expected = semantic_reference(logits, target) + geometric_reference(logits, target)
-    assert float(Scal()(logits, target)) == pytest.approx(expected, rel=1e-5)
+    assert float(SceneClassAffinity()(logits, target)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_perfect_prediction_is_free_of_loss(batch_of):
     _, target = batch_of([0, 1, 2, 3, 4], 5)
     logits = 60 * torch.nn.functional.one_hot(target.long(), 5).movedim(-1, 1).float()
-    assert float(Scal()(logits, target)) == pytest.approx(0, abs=1e-5)
+    assert float(SceneClassAffinity()(logits, target)) == pytest.approx(0, abs=1e-5)

@@ -5,7 +5,7 @@ import torch
 
 from omniocc.extras.rivals import RunLengths
 from omniocc.geometry import Cylinder
-from omniocc.loss import CrossEntropy, Dice, RangeBins, Semantics, Total
+from omniocc.loss import CrossEntropy, Dice, RangeBins, Semantics, TotalLoss
 from omniocc.loss.total import labels_of_blocks
 
 
@@ -18,7 +18,7 @@ class Prediction(NamedTuple):
 
 
 def total(weights):
-    return Total({"ce": CrossEntropy(2.0, 3), "dice": Dice()}, {"semantics": Semantics()}, weights)
+    return TotalLoss({"ce": CrossEntropy(2.0, 3), "dice": Dice()}, {"semantics": Semantics()}, weights)
 
 
 def batch():
@@ -57,7 +57,7 @@ def test_names_must_match():
 def test_terms_of_rays_need_a_lifter_that_estimates_ranges():
     prediction, voxels, pixels = batch()
     range_m, ranges = torch.rand(2, 6, 4, 8) * 10, torch.randn(2, 6, 5, 2, 4)
-    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
+    loss = TotalLoss({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
     terms = loss(prediction._replace(range_logits=ranges), voxels, pixels, range_m)
     torch.testing.assert_close(terms["ranges"], 3 * RangeBins((1.0, 9.0))(ranges, range_m))
     with pytest.raises(ValueError, match="model/lifter=lift_splat"):
@@ -67,7 +67,7 @@ def test_terms_of_rays_need_a_lifter_that_estimates_ranges():
 def test_terms_of_runs_need_a_refiner_that_predicts_them():
     prediction, voxels, pixels = batch()
     lengths, term = torch.rand(2, 6, 4, 3, 2), RunLengths(Cylinder((4, 3, 2)), 1.0, 2.0)
-    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "runs": 3.0}, run={"runs": term})
+    loss = TotalLoss({"dice": Dice()}, {}, {"dice": 1.0, "runs": 3.0}, run={"runs": term})
     terms = loss(prediction._replace(run_lengths=lengths), voxels, pixels)
     torch.testing.assert_close(terms["runs"], 3 * term(lengths, voxels))
     assert set(loss(prediction, None, pixels)) == set()
@@ -78,7 +78,7 @@ def test_terms_of_runs_need_a_refiner_that_predicts_them():
 def test_terms_of_coarser_grids_are_means_over_blocks_of_every_size():
     prediction, voxels, pixels = batch()
     coarse = ((4, torch.randn(2, 3, 1, 1, 1)), (2, torch.randn(2, 3, 2, 2, 1)))
-    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "blocks": 3.0}, coarse={"blocks": CrossEntropy(2.0, 3)})
+    loss = TotalLoss({"dice": Dice()}, {}, {"dice": 1.0, "blocks": 3.0}, coarse={"blocks": CrossEntropy(2.0, 3)})
     loss.set_class_counts(torch.tensor([8, 1, 1]))
     terms = loss(prediction._replace(coarse_logits=coarse), voxels, pixels)
     parts = [loss.coarse["blocks"](logits, labels_of_blocks(voxels, block, 3)) for block, logits in coarse]
@@ -106,7 +106,7 @@ def test_absent_labels_give_no_terms():
     assert set(loss(prediction, None, pixels)) == {"semantics"}
     assert set(loss(prediction, voxels, None)) == {"ce", "dice"}
     assert loss(prediction, None, None) == {}
-    rays = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
+    rays = TotalLoss({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
     assert set(rays(prediction, voxels, pixels)) == {"dice"}
 
 
@@ -115,6 +115,6 @@ def test_class_counts_reach_every_loss_that_weighs_classes():
         def set_class_counts(self, counts):
             self.counts = counts
 
-    loss = Total({"mine": Weighing()}, {}, {"mine": 1.0})
+    loss = TotalLoss({"mine": Weighing()}, {}, {"mine": 1.0})
     loss.set_class_counts(torch.tensor([8, 1, 1]))
     assert loss.voxel["mine"].counts.tolist() == [8, 1, 1]

@@ -4,11 +4,11 @@ import pytest
 import torch
 from torchmetrics.classification import BinaryCalibrationError
 
-from omniocc.metric import Calibration
+from omniocc.metric import CalibrationError
 
 
 def test_by_hand():
-    metric = Calibration(bins=2)
+    metric = CalibrationError(bins=2)
     metric.update(torch.tensor([0.2, 0.4]), torch.tensor([True, False]))
     metric.update(torch.tensor([[0.9, 0.7]]), torch.tensor([[True, True]]))
     scores = {key: value.item() for key, value in metric.compute().items()}
@@ -20,7 +20,7 @@ def test_as_torchmetrics_computes_it():
     generator = torch.Generator().manual_seed(0)
     confidence = torch.rand(5000, generator=generator)
     right = torch.rand(5000, generator=generator) < confidence**2
-    metric, theirs = Calibration(), BinaryCalibrationError(n_bins=15, norm="l1")
+    metric, theirs = CalibrationError(), BinaryCalibrationError(n_bins=15, norm="l1")
     for part in (slice(0, 700), slice(700, 5000)):
         metric.update(confidence[part], right[part])
         theirs.update(confidence[part], right[part].int())
@@ -28,7 +28,7 @@ def test_as_torchmetrics_computes_it():
 
 
 def test_ends_belong_to_the_outer_bins_and_nothing_gives_nan():
-    metric = Calibration(bins=4)
+    metric = CalibrationError(bins=4)
     metric.update(torch.empty(0), torch.empty(0, dtype=torch.bool))
     assert math.isnan(metric.compute()["ece"].item())
     metric.update(torch.tensor([0.0, 1.0, 0.25]), torch.tensor([False, True, False]))
@@ -37,9 +37,9 @@ def test_ends_belong_to_the_outer_bins_and_nothing_gives_nan():
 
 
 def test_wrong_input_is_named():
-    metric = Calibration()
+    metric = CalibrationError()
     with pytest.raises(ValueError, match="bins must be at least 1, got 0"):
-        Calibration(bins=0)
+        CalibrationError(bins=0)
     with pytest.raises(ValueError, match=r"preds must be confidences in \[0, 1\]"):
         metric.update(torch.tensor([math.nan]), torch.tensor([True]))
     with pytest.raises(ValueError, match="target must be bool of shape"):
@@ -47,7 +47,7 @@ def test_wrong_input_is_named():
 
 
 def test_the_diagram_shows_every_filled_bin():
-    metric = Calibration(bins=5)
+    metric = CalibrationError(bins=5)
     metric.update(torch.tensor([0.1, 0.5, 0.5]), torch.tensor([False, True, False]))
     _, axes = metric.plot()
     dots = axes.collections[0]

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Candidates
+from omniocc.metric import CandidateScores
 
 GRID = Cylinder((4, 4, 1), (0.0, 8.0), (0.0, 1.0))
 EDGES_M = (0.0, 4.0, 8.0)
@@ -20,7 +20,7 @@ def test_by_hand():
     candidates[0, 0, 0] = True  # one wrong
     candidates[0, 2] = True  # two unknown, two wrong
     candidates[0, 3, 0] = True  # one found
-    metric = Candidates(GRID, EDGES_M)
+    metric = CandidateScores(GRID, EDGES_M)
     metric.update(candidates, voxels)
     scores = {key: value.item() for key, value in metric.compute().items()}
     expected = {
@@ -43,7 +43,7 @@ def test_agrees_with_loops_over_batches(grid):
     voxels = torch.tensor([0, 0, 3, 5, 255], dtype=torch.uint8)[torch.randint(0, 5, (3, *grid.shape))]
     candidates = torch.rand(3, *grid.shape) < 0.4
     edges_m = (2.0, 8.5, 25.6)
-    metric = Candidates(grid, edges_m)
+    metric = CandidateScores(grid, edges_m)
     metric.update(candidates[:1], voxels[:1])
     metric.update(candidates[1:], voxels[1:])
     scores = metric.compute()
@@ -70,7 +70,7 @@ def test_parts_of_a_dataset_add_up():
     torch.manual_seed(0)
     voxels = torch.randint(0, 3, (4, *GRID.shape), dtype=torch.uint8)
     candidates = torch.rand(4, *GRID.shape) < 0.5
-    whole, left, right = (Candidates(GRID, EDGES_M) for _ in range(3))
+    whole, left, right = (CandidateScores(GRID, EDGES_M) for _ in range(3))
     whole.update(candidates, voxels)
     left.update(candidates[:1], voxels[:1])
     right.update(candidates[1:], voxels[1:])
@@ -79,7 +79,7 @@ def test_parts_of_a_dataset_add_up():
 
 
 def test_scores_without_occupied_cells_and_candidates_are_nan():
-    metric = Candidates(GRID, EDGES_M)
+    metric = CandidateScores(GRID, EDGES_M)
     metric.update(torch.zeros(1, *GRID.shape, dtype=torch.bool), torch.zeros(1, *GRID.shape, dtype=torch.uint8))
     scores = metric.compute()
     assert math.isnan(scores["recall"])
@@ -88,11 +88,11 @@ def test_scores_without_occupied_cells_and_candidates_are_nan():
 
 
 def test_error_names_wrong_input():
-    metric = Candidates(GRID, EDGES_M)
+    metric = CandidateScores(GRID, EDGES_M)
     voxels = torch.zeros(1, *GRID.shape, dtype=torch.uint8)
     with pytest.raises(ValueError, match=r"preds.*bool"):
         metric.update(voxels, voxels)
     with pytest.raises(ValueError, match=r"target.*\(B, 4, 4, 1\).*\(1, 4, 4\)"):
         metric.update(voxels.bool(), voxels[..., 0])
     with pytest.raises(ValueError, match="range_edges_m"):
-        Candidates(GRID, (8.0, 4.0))
+        CandidateScores(GRID, (8.0, 4.0))

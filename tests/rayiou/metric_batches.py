@@ -3,14 +3,14 @@
 import torch
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Calibration, Candidates, DepthMetrics, RayIoU, VoxelIoU
+from omniocc.metric import CalibrationError, CandidateScores, DepthMetrics, RayIoU, VoxelIoU
 
 GRID = Cylinder((8, 12, 4), (0.0, 12.0), (-2.8, 3.2))
 LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
 FORWARD = torch.tensor([[1.0, 0.0, 0.0]])
 METRICS = {
     "rays": (RayIoU, {"geometry": GRID}), "voxels": (VoxelIoU, {}), "depth": (DepthMetrics, {}),
-    "calibration": (Calibration, {}), "candidates": (Candidates, {"geometry": GRID}),
+    "calibration": (CalibrationError, {}), "candidates": (CandidateScores, {"geometry": GRID}),
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import torch
 from torchmetrics import MetricCollection
 
 from omniocc.geometry import Cuboid
-from omniocc.metric import Calibration, DepthMetrics, RayIoU, RayTruth, VoxelIoU, ray_hits
+from omniocc.metric import CalibrationError, DepthMetrics, RayIoU, RayTruth, VoxelIoU, ray_hits
 
 LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
 AHEAD = torch.tensor([[1.0, 0.0, 0.0]])
@@ -20,7 +20,7 @@ def car_at(cell: int, cells: int = 10) -> torch.Tensor:
 
 
 def test_calibration_error_is_the_distance_of_confidence_and_share_in_each_bin():
-    metric = Calibration(bins=2)
+    metric = CalibrationError(bins=2)
     metric.update(torch.tensor([0.4, 0.9]), torch.tensor([True, False]))
     assert metric.compute()["ece"].item() == pytest.approx((0.6 + 0.9) / 2)
 

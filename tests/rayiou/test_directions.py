@@ -5,23 +5,23 @@ import pytest
 import torch
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import eight_origins, trajectory_origins
+from omniocc.metric import sparseocc_origins, trajectory_origins
 
 
 def test_eight_evenly_spaced_positions_are_taken():
     positions = torch.zeros(20, 3)
     positions[:, 0] = torch.arange(20) - 9.0
     # round(linspace(0, 19, 8)) = 0, 2.7, 5.4, 8.1, 10.9, 13.6, 16.3, 19
-    assert (eight_origins(positions)[:, 0] + 9).tolist() == [0, 3, 5, 8, 11, 14, 16, 19]
+    assert (sparseocc_origins(positions)[:, 0] + 9).tolist() == [0, 3, 5, 8, 11, 14, 16, 19]
 
 
 def test_few_positions_are_kept_and_far_ones_dropped():
     positions = torch.tensor(
         [[38.9, 0.0, 0.0], [39.0, 0.0, 0.0], [-39.0, 0.0, 0.0], [0.0, -38.0, 500.0], [0.0, 40.0, 0.0], [1.0, 1.0, 1.0]]
     )
-    assert eight_origins(positions).tolist() == positions[[0, 3, 5]].tolist()
-    assert len(eight_origins(torch.zeros(8, 3))) == 8  # those of a standing car are all kept
-    assert eight_origins(torch.full((4, 3), 50.0)).shape == (0, 3)
+    assert sparseocc_origins(positions).tolist() == positions[[0, 3, 5]].tolist()
+    assert len(sparseocc_origins(torch.zeros(8, 3))) == 8  # those of a standing car are all kept
+    assert sparseocc_origins(torch.full((4, 3), 50.0)).shape == (0, 3)
 
 
 OCC3D = Cuboid((200, 200, 16), (-40.0, 40.0), (-40.0, 40.0), (-1.0, 5.4))
@@ -87,7 +87,7 @@ def test_origins_of_a_trajectory_agree_with_the_public_positions():
     assert len(positions_m) == 8
     every = (torch.from_numpy(world_from_ego[:, :3, 3]) - torch.from_numpy(world_from_ego[7, :3, 3])).double()
     every = every @ torch.from_numpy(world_from_ego[7, :3, :3])
-    torch.testing.assert_close(trajectory_origins(world_from_ego, 7, OCC3D).positions_m, eight_origins(every))
+    torch.testing.assert_close(trajectory_origins(world_from_ego, 7, OCC3D).positions_m, sparseocc_origins(every))
 
 
 def test_the_frame_itself_is_among_the_choice_in_a_grid_that_lies_ahead():

@@ -17,7 +17,7 @@ from torchmetrics import MetricCollection
 
 import rayiou
 from omniocc.geometry import Cuboid
-from omniocc.metric import Candidates, DepthMetrics, RayIoU, VoxelIoU, ray_iou
+from omniocc.metric import CandidateScores, DepthMetrics, RayIoU, VoxelIoU, ray_iou
 
 
 @pytest.fixture(params=METRICS)
@@ -127,7 +127,7 @@ def test_bands_that_are_equal_by_chance_stay_apart():
     metrics.update(far + 2, far)
     assert metrics["10"].compute()["mae_0-10m"] == pytest.approx(1.0)
     assert metrics["15"].compute()["mae_0-15m"] == pytest.approx(1.5)
-    wide = MetricCollection({f"to_{edge}_m": Candidates(LINE, (0, edge, 20)) for edge in (2, 3)})
+    wide = MetricCollection({f"to_{edge}_m": CandidateScores(LINE, (0, edge, 20)) for edge in (2, 3)})
     assert len({tuple(metric.setting.tolist()) for metric in wide.values()}) == 2
 
 

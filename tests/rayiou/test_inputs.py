@@ -5,7 +5,7 @@ import pytest
 import torch
 from metric_batches import FORWARD, LINE, METRICS, batch, counted, made, same
 
-from omniocc.metric import Calibration, DepthMetrics, RayIoU, RayTruth, VoxelIoU, ray_hits, ray_iou
+from omniocc.metric import CalibrationError, DepthMetrics, RayIoU, RayTruth, VoxelIoU, ray_hits, ray_iou
 
 
 @pytest.fixture(params=METRICS)
@@ -83,7 +83,7 @@ def test_wrong_types_and_shapes_are_named(name):
 
 def test_confidences_outside_of_their_range_are_named():
     with pytest.raises(ValueError, match=r"preds must be confidences in \[0, 1\], got 1.5"):
-        Calibration().update(torch.tensor([0.5, 1.5]), torch.tensor([True, True]))
+        CalibrationError().update(torch.tensor([0.5, 1.5]), torch.tensor([True, True]))
     with pytest.raises(ValueError, match=r"preds must be ranges above 0, got -2\.0"):
         DepthMetrics().update(torch.tensor([-2.0]), torch.tensor([3.0]))
     with pytest.raises(ValueError, match="geometry must be a grid"):

@@ -12,7 +12,7 @@ import torch
 from torch.utils.data import DataLoader
 
 import rayiou
-from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
+from omniocc.geometry import Cuboid, Cylinder, RayTable, RayScan
 from omniocc.metric import sparseocc_directions
 from rayiou.raycast.kernel_table import run_in_threads
 
@@ -30,7 +30,7 @@ def labels_of(seed):
 
 
 def table_of():
-    return RayTable(GRID, Scan(sparseocc_directions()).fans(torch.zeros(1, 3)))
+    return RayTable(GRID, RayScan(sparseocc_directions()).fans(torch.zeros(1, 3)))
 
 
 class Casts:

@@ -9,7 +9,7 @@ import torch
 from torchmetrics import MetricCollection
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Candidates, RayIoU, VoxelIoU, ray_hits, ray_iou
+from omniocc.metric import CandidateScores, RayIoU, VoxelIoU, ray_hits, ray_iou
 
 LINE = Cuboid(shape=(10, 1, 1), x_m=(0.0, 10.0), y_m=(-0.5, 0.5), height_m=(-0.5, 0.5))
 LONG = Cuboid(shape=(20, 1, 1), x_m=(0.0, 20.0), y_m=(-0.5, 0.5), height_m=(-0.5, 0.5))
@@ -204,7 +204,7 @@ def test_ray_hits_are_those_of_trace():
     assert torch.equal((turned.labels + 1) % 12, hits.labels)
 
 
-@pytest.mark.parametrize("metric", [RayIoU, Candidates])
+@pytest.mark.parametrize("metric", [RayIoU, CandidateScores])
 def test_a_shape_is_no_grid(metric):
     with pytest.raises(ValueError, match=r"geometry must be a grid, .*Cuboid\(shape, x_m.*got tuple"):
         metric((200, 200, 16))

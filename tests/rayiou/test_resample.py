@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from omniocc.geometry import Cuboid, Cylinder, look_up, resample
+from omniocc.geometry import Cuboid, Cylinder, sample_nearest, resample
 
 FINE = Cuboid((20, 18, 8), (-4.0, 4.0), (-3.6, 3.6), (-1.6, 1.6))
 TARGETS = [
@@ -61,7 +61,7 @@ def test_it_agrees_with_the_definition_cell_by_cell(target, least):
 def test_the_same_grid_gives_the_labels_themselves():
     labels = random_labels()
     assert resample(labels, FINE, FINE) is labels
-    assert look_up(labels[None], FINE, FINE)[0].data_ptr() == labels.data_ptr()
+    assert sample_nearest(labels[None], FINE, FINE)[0].data_ptr() == labels.data_ptr()
 
 
 def test_a_grid_moved_by_whole_cells_moves_the_labels():
@@ -82,7 +82,7 @@ def test_without_occupied_cells_all_is_free_or_unknown():
 def test_predictions_are_looked_up_at_the_middles_and_free_outside():
     coarse = TARGETS[1]
     labels = torch.randint(1, 5, (2, *coarse.shape), generator=torch.Generator().manual_seed(1), dtype=torch.uint8)
-    found = look_up(labels, coarse, FINE)
+    found = sample_nearest(labels, coarse, FINE)
     assert found.shape == (2, *FINE.shape)
     cells, inside = coarse.index(FINE.centers(torch.float64))
     assert not inside.all()

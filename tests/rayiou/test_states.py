@@ -10,7 +10,7 @@ from torch import nn
 from torchmetrics import BootStrapper, MetricCollection, MetricTracker
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Calibration, Candidates, DepthMetrics, RayIoU, RayTruth, VoxelIoU
+from omniocc.metric import CalibrationError, CandidateScores, DepthMetrics, RayIoU, RayTruth, VoxelIoU
 
 WIDE = Cylinder((8, 12, 4), (0.0, 24.0), (-2.8, 3.2))
 BANDS = {"range_edges_m": (0.0, 4.0, 9.0)}
@@ -26,8 +26,8 @@ OTHERS = {
         VoxelIoU(geometry=GRID), VoxelIoU(ignore_class=99), VoxelIoU(free_class=3), VoxelIoU(num_classes=18),
     ],
     "depth": [DepthMetrics(1.0), DepthMetrics(farthest_m=50.0), DepthMetrics(spheres=96), DepthMetrics(**BANDS)],
-    "calibration": [Calibration(10)],
-    "candidates": [Candidates(WIDE), Candidates(GRID, (0.0, 4.0, 9.0, 25.6))],
+    "calibration": [CalibrationError(10)],
+    "candidates": [CandidateScores(WIDE), CandidateScores(GRID, (0.0, 4.0, 9.0, 25.6))],
 }  # fmt: skip
 PAIRS = [(name, other) for name, others in OTHERS.items() for other in others]
 
@@ -157,7 +157,7 @@ def test_counts_are_merged(name):
     assert empty.update_count == 2
     same(empty.compute(), both)
     with pytest.raises(ValueError, match="instance of"):
-        empty.merge_state(Calibration() if name != "calibration" else VoxelIoU())
+        empty.merge_state(CalibrationError() if name != "calibration" else VoxelIoU())
 
 
 def test_states_of_before_there_was_a_setting_are_added():
@@ -279,8 +279,8 @@ def test_results_without_cache(name):
 
 def test_unknown_truth_alone_counts_nothing():
     preds = batch("voxels")[0]
-    for metric in (RayIoU(GRID), VoxelIoU(), VoxelIoU(geometry=GRID), Candidates(GRID)):
-        given = preds > 0 if isinstance(metric, Candidates) else preds
+    for metric in (RayIoU(GRID), VoxelIoU(), VoxelIoU(geometry=GRID), CandidateScores(GRID)):
+        given = preds > 0 if isinstance(metric, CandidateScores) else preds
         metric.update(given, torch.full_like(preds, 255))
         found = metric.compute()
         assert all(value.isnan() for key, value in found.items() if not key.startswith("fraction"))

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.geometry import downsample
-from rayiou.vote import majority
+from rayiou.vote import majority_vote
 
 
 def vote(block):
@@ -52,9 +52,9 @@ def test_error_names_sizes_that_do_not_fit(shape, factor):
 def test_labels_that_are_no_classes_are_refused(wrong):
     shown = re.escape(str([wrong[1].item()]))
     with pytest.raises(ValueError, match=rf"class 1..11 or 255 \(unknown\), got labels {shown}"):
-        majority(torch.tensor([0, 0]), wrong, 1)
+        majority_vote(torch.tensor([0, 0]), wrong, 1)
     with pytest.raises(ValueError, match=rf"classes 0..11 or 255 \(unknown\), got {shown}"):
         downsample(wrong.reshape(2, 1, 1), 1)
     with pytest.raises(ValueError, match=r"classes 0..11 or 255 \(unknown\), got \[17\]"):
         downsample(torch.full((1, 1, 1), 17, dtype=torch.uint8), 1)
-    assert majority(torch.tensor([0, 0, 1]), torch.tensor([7.0, 7.0, 255.0]), 3).tolist() == [7, 255, 0]
+    assert majority_vote(torch.tensor([0, 0, 1]), torch.tensor([7.0, 7.0, 255.0]), 3).tolist() == [7, 255, 0]

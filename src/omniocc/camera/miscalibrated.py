@@ -22,7 +22,7 @@ def turned(rig: Rig, axes: Float64[Tensor, "N 3"], angle_deg: float) -> Rig:
     return replace(rig, ego_from_camera=poses)
 
 
-def moved(rig: Rig, directions: Float64[Tensor, "N 3"], distance_m: float) -> Rig:
+def displaced_rig(rig: Rig, directions: Float64[Tensor, "N 3"], distance_m: float) -> Rig:
     """Return the rig with every camera moved by a distance along a direction of the ego frame."""
     poses = rig.ego_from_camera.clone()
     poses[:, :3, 3] += distance_m * directions / directions.norm(dim=-1, keepdim=True)

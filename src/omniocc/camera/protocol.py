@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omniocc.errors import shown
+from omniocc.errors import repr_of
 
 
 @runtime_checkable
@@ -44,7 +44,7 @@ class Camera(Protocol):
 def finite(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError if it is no finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise ValueError(f"{name} is {shown(value)}; it must be a finite number")
+        raise ValueError(f"{name} is {repr_of(value)}; it must be a finite number")
     return float(value)
 
 
@@ -52,14 +52,14 @@ def positive(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError unless it is finite and above zero."""
     number = finite(name, value)
     if number <= 0:
-        raise ValueError(f"{name} is {shown(value)}; it must be above 0")
+        raise ValueError(f"{name} is {repr_of(value)}; it must be above 0")
     return number
 
 
 def pair(name: str, value: object) -> tuple[float, float]:
     """Return `value` as a tuple of two floats; raise ValueError if it is not two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError(f"{name} is {shown(value)}; it must be two numbers")
+        raise ValueError(f"{name} is {repr_of(value)}; it must be two numbers")
     return finite(name, value[0]), finite(name, value[1])
 
 
@@ -73,7 +73,7 @@ def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...
     """Return `value` as a tuple of floats; raise ValueError unless it is `least` to `most` finite numbers."""
     count = str(least) if least == most else f"{least} to {most}"
     if not isinstance(value, list | tuple) or not least <= len(value) <= most:
-        raise ValueError(f"{name} is {shown(value)}; it must be {count} numbers")
+        raise ValueError(f"{name} is {repr_of(value)}; it must be {count} numbers")
     return tuple(finite(name, number) for number in value)
 
 
@@ -81,7 +81,7 @@ def angle_from_axis(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError unless it is an angle from the optical axis, in (0, 180] degrees."""
     angle_deg = positive(name, value)
     if angle_deg > 180:
-        raise ValueError(f"{name} is {shown(value)}; it is measured from the axis and ends at 180")
+        raise ValueError(f"{name} is {repr_of(value)}; it is measured from the axis and ends at 180")
     return angle_deg
 
 
@@ -98,7 +98,7 @@ def check_fields(camera: Camera, checks: Mapping[str, Callable[[str, object], ob
     """
     for name, value in (("width", camera.width), ("height", camera.height)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name} is {shown(value)}; it must be a positive whole number of pixels")
+            raise ValueError(f"{name} is {repr_of(value)}; it must be a positive whole number of pixels")
     for name, check in checks.items():
         object.__setattr__(camera, name, check(name, getattr(camera, name)))
 

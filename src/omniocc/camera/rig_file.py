@@ -47,7 +47,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
-from omniocc.errors import shown
+from omniocc.errors import repr_of
 from omniocc.io import atomic_write, checked_name, read_short_text
 
 MODELS = {
@@ -178,7 +178,7 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
         return pose_from_angles((x, y, z), yaw, pitch, roll)
     if not isinstance(value, list) or len(value) != 4:
         raise ValueError(
-            f"ego_from_camera is {shown(value)}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
+            f"ego_from_camera is {repr_of(value)}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
         )
     rows = [numbers("a row of ego_from_camera", row, 4, 4) for row in value]
     pose = torch.tensor(rows, dtype=torch.float64)

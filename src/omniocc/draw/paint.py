@@ -14,7 +14,7 @@ from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.draw.canvas import Images, Labels, fitted
 from omniocc.geometry import Grid
-from rayiou.raycast.fans import Fans
+from rayiou.raycast.fans import RayFans
 from rayiou.raycast.table import RayTable
 
 COARSE = 2
@@ -88,7 +88,7 @@ def panorama_view(geometry: Grid, panorama: Equirectangular, columns: int, rows:
 
 def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> View:
     directions = rays[valid]
-    return View(valid, RayTable(geometry, Fans.single(origin.expand_as(directions), directions)))
+    return View(valid, RayTable(geometry, RayFans.single(origin.expand_as(directions), directions)))
 
 
 def _colors(view: View, labels: Labels, palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

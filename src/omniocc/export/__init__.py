@@ -2,7 +2,7 @@
 
 from omniocc.export.contract import contract_of
 from omniocc.export.files import export_files
-from omniocc.export.program import Frame, Step, example_inputs, export_program, make_module
+from omniocc.export.program import FrameProgram, Step, example_inputs, export_program, make_module
 
 __all__ = [
     "Frame",

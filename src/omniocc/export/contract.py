@@ -3,7 +3,7 @@
 from typing import Any
 
 from omniocc.classes import ClassTable
-from omniocc.export.program import Frame, Step, example_inputs
+from omniocc.export.program import FrameProgram, Step, example_inputs
 
 MEANINGS = {
     "images": "RGB 0..255 of every camera in the rig's order, rows from the top; a black image marks a missing camera",
@@ -21,7 +21,7 @@ AXES = {
 }
 
 
-def contract_of(module: Frame | Step, classes: ClassTable, height_m: float = 0.0) -> dict[str, Any]:
+def contract_of(module: FrameProgram | Step, classes: ClassTable, height_m: float = 0.0) -> dict[str, Any]:
     """Return names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data.
 
     Along each axis of the grid, cell i spans low + (high - low) * [i, i + 1] / shape, with (low, high) from `bounds`.

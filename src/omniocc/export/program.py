@@ -30,7 +30,7 @@ class Program(nn.Module):
         self.model, self.rig = model, rig
 
 
-class Frame(Program):
+class FrameProgram(Program):
     """The program of a model without history: one frame at a time."""
 
     def forward(self, images: UInt8[Tensor, "N 3 H W"]) -> UInt8[Tensor, "X Y Z"]:
@@ -71,16 +71,16 @@ class Step(Program):
         return logits.argmax(1)[0].to(torch.uint8), lifted.volume[0]
 
 
-def make_module(model: OccupancyModel, rig: Rig) -> Frame | Step:
+def make_module(model: OccupancyModel, rig: Rig) -> FrameProgram | Step:
     """Return the model as a function of one frame's images."""
-    return (Frame if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
+    return (FrameProgram if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
 
 
-def example_inputs(module: Frame | Step) -> tuple[Tensor, ...]:
+def example_inputs(module: FrameProgram | Step) -> tuple[Tensor, ...]:
     """Return inputs in the shapes that the program takes: black images, no past frames, identity poses."""
     camera, model = module.rig.cameras[0], module.model
     images = torch.zeros(len(module.rig.cameras), 3, camera.height, camera.width, dtype=torch.uint8)
-    if isinstance(module, Frame):
+    if isinstance(module, FrameProgram):
         return (images,)
     past = model.temporal.frames - 1
     volumes = torch.zeros(past, model.lifter.channels, *model.geometry.shape)
@@ -89,7 +89,7 @@ def example_inputs(module: Frame | Step) -> tuple[Tensor, ...]:
 
 
 @torch.no_grad()
-def export_program(module: Frame | Step) -> ExportedProgram:
+def export_program(module: FrameProgram | Step) -> ExportedProgram:
     """Return the exported program of a module.
 
     Raises:

@@ -5,10 +5,10 @@ from omniocc.loss.dice import Dice
 from omniocc.loss.first_hit import FirstHit
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
-from omniocc.loss.scal import Scal
+from omniocc.loss.scal import SceneClassAffinity
 from omniocc.loss.semantics import Semantics
 from omniocc.loss.silog import SILog
-from omniocc.loss.total import Total
+from omniocc.loss.total import TotalLoss
 
 __all__ = [
     "CrossEntropy",

@@ -40,7 +40,7 @@ def geometric_scal(confusion: Float32[Tensor, "C C"]) -> Float32[Tensor, ""]:
     return -(torch.where(occupied.sum() > 0.5, found, zero) + torch.where(free.sum() > 0.5, left_free, zero))
 
 
-class Scal(nn.Module):
+class SceneClassAffinity(nn.Module):
     """Semantic plus geometric scene-class affinity; sums run over the known voxels of the whole batch."""
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:

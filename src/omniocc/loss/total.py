@@ -52,7 +52,7 @@ class WeighsClasses(Protocol):
         ...
 
 
-class Total(nn.Module):
+class TotalLoss(nn.Module):
     """Weighted terms by name; the loss is their sum (paper, eq. 3, where all weights are 1).
 
     Args:

@@ -1,14 +1,14 @@
 """Metrics of occupancy, which are those of `rayiou`, and of depth and candidates."""
 
-from omniocc.metric.calibration import Calibration
-from omniocc.metric.candidates import Candidates
+from omniocc.metric.calibration import CalibrationError
+from omniocc.metric.candidates import CandidateScores
 from omniocc.metric.depth import DepthMetrics, sphere_index
 from rayiou import (
     RayIoU,
     RayOrigins,
     RayTruth,
     VoxelIoU,
-    eight_origins,
+    sparseocc_origins,
     ray_hits,
     ray_iou,
     sparseocc_directions,

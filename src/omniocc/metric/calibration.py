@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Calibration(CountMetric):
+class CalibrationError(CountMetric):
     """Expected calibration error, and a reliability diagram, over a dataset.
 
     Predictions are sorted by confidence into bins of equal width. Keys: `ece` (mean over the predictions of the

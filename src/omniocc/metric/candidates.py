@@ -37,7 +37,7 @@ def candidate_scores(counts: Float64[Tensor, "bands 5"], edges_m: Sequence[float
     return {key: value.float() for key, value in scores.items()}
 
 
-class Candidates(CountMetric):
+class CandidateScores(CountMetric):
     """Recall, precision and fraction of candidate voxels over a dataset.
 
     Keys: `recall` (candidates among the occupied cells), `precision` (occupied cells among the candidates whose label

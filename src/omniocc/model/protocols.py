@@ -52,7 +52,7 @@ def part_of(fields: Fields, *index: Any) -> Fields:
     return type(fields)(*(None if field is None else field[index] for field in fields))  # type: ignore[arg-type]
 
 
-def joined(parts: Sequence[Fields]) -> Fields:
+def concatenate(parts: Sequence[Fields]) -> Fields:
     """Return one batch of several, which have the same fields."""
     columns = zip(*parts, strict=True)
     return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore

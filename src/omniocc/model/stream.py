@@ -10,7 +10,7 @@ from omniocc.camera import Rig
 from omniocc.model.hints import Known
 from omniocc.model.occupancy import OccupancyModel
 from omniocc.model.ops.padded import Images
-from omniocc.model.protocols import Sketched, joined, part_of
+from omniocc.model.protocols import Sketched, concatenate, part_of
 
 
 class Remembered(NamedTuple):
@@ -125,6 +125,6 @@ class Stream:
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in there for key in window] for window in windows], device=poses.device)
-        sketched, known = (joined([getattr(window[-1], part) for window in frames]) for part in ("sketched", "known"))
+        sketched, known = (concatenate([getattr(window[-1], part) for window in frames]) for part in ("sketched", "known"))
         self._frames = {key: there[key] for key in windows[-1][1:] if key in there}
         return self.model.fuse(volumes, poses, exists, sketched, known)[0]

@@ -15,7 +15,7 @@ from omniocc.config import check
 from omniocc.draw import predicted_sheet
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
+from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, remarks, resized_to_width
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import point_cloud
@@ -24,7 +24,7 @@ from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import load
 
-ShowRanges = Callable[[Frame, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
+ShowRanges = Callable[[FrameFiles, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
 """Shows the panorama of one frame: given the frame, its images, their rig, the ranges and their directions."""
 
 
@@ -67,7 +67,7 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
 
 def predict_frame(
     cfg: DictConfig,
-    frame: Frame,
+    frame: FrameFiles,
     rig: Rig,
     model: nn.Module,
     image_width: int | None,

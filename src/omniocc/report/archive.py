@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
-from omniocc.errors import DataError, UserError, shown
+from omniocc.errors import DataError, UserError, repr_of
 from omniocc.io import atomic_file, atomic_write, can_be_in_paths, read_bytes
 
 ENDING = ".tar.xz"
@@ -115,11 +115,11 @@ def files_of(archive: bytes) -> dict[str, bytes]:
         member = tarfile.TarInfo.frombuf(content[start : start + _BLOCK], "utf-8", "strict")
         begin, end = start + _BLOCK, start + _BLOCK + member.size
         if member.type != tarfile.REGTYPE:
-            raise ValueError(f"the member {shown(member.name)} is no regular file")
+            raise ValueError(f"the member {repr_of(member.name)} is no regular file")
         if member.name in found:
-            raise ValueError(f"the member {shown(member.name)} stands twice")
+            raise ValueError(f"the member {repr_of(member.name)} stands twice")
         if not begin <= end <= len(content):
-            raise ValueError(f"the member {shown(member.name)} claims {member.size:,} bytes, which are not there")
+            raise ValueError(f"the member {repr_of(member.name)} claims {member.size:,} bytes, which are not there")
         found[member.name] = content[begin:end]
         if len(found) > MOST_FILES:
             break
@@ -147,6 +147,6 @@ def _check_names(files: Mapping[str, bytes]) -> None:
     for name in files:
         parts = name.split("/")
         if not all(can_be_in_paths(part, PART_BYTES) for part in parts):
-            raise ValueError(f"the member {shown(name)} has no plain relative name")
+            raise ValueError(f"the member {repr_of(name)} has no plain relative name")
         if file := next((str(up) for up in PurePosixPath(name).parents if str(up) in files), None):
-            raise ValueError(f"the member {shown(file)} is a file, and a folder of {shown(name)}")
+            raise ValueError(f"the member {repr_of(file)} is a file, and a folder of {repr_of(name)}")

@@ -11,7 +11,7 @@ from omniocc.config import compose_plain
 from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import given
+from omniocc.report.selection import given_values
 from omniocc.runs.rows import FOLDER
 
 
@@ -38,11 +38,11 @@ def assign_rows(
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
-        return given(compose_plain(conf, "train", [f"preset={preset}", *known[row]]))
+        return given_values(compose_plain(conf, "train", [f"preset={preset}", *known[row]]))
 
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
-        config = given(run.config)
+        config = given_values(run.config)
         # composing a row takes .2 s, so those that state another value are left out first
         likely = (row for row in tried if all(config.get(key, value) == value for key, value in stated[row].items()))
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
@@ -68,9 +68,9 @@ def _stated(conf: Path, words: Sequence[str]) -> dict[str, Any]:
     stated: dict[str, Any] = {}
     for key, _, value in (word.partition("=") for word in words):
         if key == f"+{FOLDER}":
-            stated |= given(read_yaml(conf / FOLDER / f"{value}.yaml") or {})
+            stated |= given_values(read_yaml(conf / FOLDER / f"{value}.yaml") or {})
         elif "/" not in key and not (conf / key).is_dir():
-            stated |= given(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}={value}"])))  # type: ignore
+            stated |= given_values(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}={value}"])))  # type: ignore
     return {
         key: value
         for key, value in stated.items()

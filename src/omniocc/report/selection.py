@@ -155,7 +155,7 @@ def differences(runs: Sequence[FinishedRun]) -> str:
     Keys of only one of two commits are new options, not differences.
     """
     found: set[str] = set()
-    versions = [(run.facts.get("commit"), compared(run.config)) for run in runs]
+    versions = [(run.facts.get("commit"), comparable_config(run.config)) for run in runs]
     for (commit, left), (other_commit, right) in combinations(versions, 2):
         keys = left.keys() | right.keys() if commit == other_commit else left.keys() & right.keys()
         found |= {key for key in keys if left.get(key, ABSENT) != right.get(key, ABSENT)}
@@ -163,18 +163,18 @@ def differences(runs: Sequence[FinishedRun]) -> str:
     return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"
 
 
-def compared(config: Mapping[str, Any]) -> dict[str, Any]:
+def comparable_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration without name, seed, machine and `VOLATILE`, by dotted key; equal for runs of one row."""
     values = dotted({key: value for key, value in config.items() if key not in ("name", *VOLATILE)})
     return {key: value for key, value in values.items() if not set(key.split(".")) & set(BESIDE_ROW)}
 
 
-def given(config: Mapping[str, Any]) -> dict[str, Any]:
+def given_values(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return `compared` without keys that are null.
 
     A key that a later commit added and that is null then tells no runs apart.
     """
-    return {key: value for key, value in compared(config).items() if value is not None}
+    return {key: value for key, value in comparable_config(config).items() if value is not None}
 
 
 def by_row(runs: Sequence[FinishedRun]) -> dict[str, list[FinishedRun]]:

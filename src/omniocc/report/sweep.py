@@ -23,7 +23,7 @@ from omniocc.report.selection import (
     otherwise_text,
     settings_of,
 )
-from omniocc.report.tables.claims import Judged, Name, judged
+from omniocc.report.tables.claims import Judged, Name, verdicts_of
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import SeedStd, load_seed_stds
 from omniocc.runs.curves import read_curve
@@ -82,7 +82,7 @@ class Sweep(NamedTuple):
     @property
     def claims(self) -> dict[Name, Judged]:
         """Return the claims of all tables with their verdicts."""
-        return judged(self.tables, self.table_rows)
+        return verdicts_of(self.tables, self.table_rows)
 
     @property
     def not_run(self) -> list[str]:

@@ -34,7 +34,7 @@ def check_devices(parts: Parts) -> None:
         raise UserError(f"{asked}: {who} cannot do that ({reason})") from error
 
 
-def fitting(parts: Parts, scenes: Sequence[SceneFrames]) -> tuple[Parts, str | None]:
+def without_unused_head(parts: Parts, scenes: Sequence[SceneFrames]) -> tuple[Parts, str | None]:
     """Return the parts for training scenes, and a line if the 2D head is off since they have no classes of pixels."""
     if not scenes or not parts.has_head or scenes[0].pixel_labels(0) is not None:
         return parts, None

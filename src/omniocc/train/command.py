@@ -13,8 +13,8 @@ from omniocc.runs.folder import given_checkpoint
 from omniocc.runs.memory import keep_freed_memory
 from omniocc.runs.plan import hours_line
 from omniocc.runs.slots import slots_line
-from omniocc.train.build import build_task, check_devices, fitting, line_on_lifter
-from omniocc.train.stage import Stage, say
+from omniocc.train.build import build_task, check_devices, without_unused_head, line_on_lifter
+from omniocc.train.stage import Stage, announce
 from omniocc.train.stage_keys import wanted_stages
 from omniocc.train.stages import EarlierStage, stages_of
 from omniocc.train.start import check_resumed, check_weights
@@ -41,12 +41,12 @@ def train(cfg: DictConfig) -> None:
         return
     data.prepare_data()
     scenes = data.source.scenes("train")
-    parts, without_head = fitting(parts, scenes)
+    parts, without_head = without_unused_head(parts, scenes)
     stages, frames = stages_of(parts, data), sum(map(len, scenes))
     if last and (given := given_checkpoint(cfg.resume)) is not None:
         check_resumed(given, parts.config, stages[-1].amount(frames, parts.trainer()).steps)
     for line in filter(None, (without_head, lifter, *data.remarks())):
-        say(line)
+        announce(line)
     if is_first():
         announce_plan(stages, frames)
     if any(isinstance(stage, EarlierStage) and not stage.finished for stage in stages):
@@ -74,12 +74,12 @@ def announce_plan(stages: Sequence[Stage], frames: int, timed: bool = False) -> 
     """
     trainer = stages[0].parts.trainer()
     if timed:
-        say("some steps of every stage are timed: seconds at preset=tiny, minutes for large sizes on a CPU")
+        announce("some steps of every stage are timed: seconds at preset=tiny, minutes for large sizes on a CPU")
     for stage in stages:
         if not stage.learns:
-            say(f"{stage.NAME:10}nothing to train")
+            announce(f"{stage.NAME:10}nothing to train")
             continue
         amount = stage.amount(frames, trainer)
-        say(f"{stage.NAME:10}{amount.line}")
+        announce(f"{stage.NAME:10}{amount.line}")
         if timed:
-            say(f"{'':10}{hours_line(amount.steps, trainer.accumulate_grad_batches * step_seconds(stage))}")
+            announce(f"{'':10}{hours_line(amount.steps, trainer.accumulate_grad_batches * step_seconds(stage))}")

@@ -10,7 +10,7 @@ from torchmetrics import CatMetric, MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.data import Appearance
-from omniocc.metric import Calibration, DepthMetrics
+from omniocc.metric import CalibrationError, DepthMetrics
 from omniocc.model.depth import DepthMap, Spheres
 from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
 from omniocc.model.ops.padded import to_unit_range
@@ -50,7 +50,7 @@ class DepthTask(StageTask[nn.Module]):
         super().__init__(model, optimizer, config)
         self.seed, self.appearance = seed, appearance
         self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, range_edges_m)
-        self.coverage, self.calibration, self.judged = MeanMetric(), Calibration(), CatMetric()
+        self.coverage, self.calibration, self.judged = MeanMetric(), CalibrationError(), CatMetric()
         self.last_judged = torch.empty(0, 3)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -70,7 +70,7 @@ class DepthTask(StageTask[nn.Module]):
             # every ray is scored, also uncertain ones
             self.errors.update(depth.range_m.float(), batch.erp_range_m)
             self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
-            rows = judged(depth, batch.erp_range_m)
+            rows = score_confidence(depth, batch.erp_range_m)
             self.calibration.update(rows[:, 0], rows[:, 2] > 0)
             self.judged.update(rows[:: max(1, len(rows) // SAMPLES)])
         return depth.known_range_m()
@@ -90,7 +90,7 @@ class DepthTask(StageTask[nn.Module]):
             self.model.calibrate(confidence, range_m, right > 0)
 
 
-def judged(depth: DepthMap, true_range_m: Float[Tensor, "B h w"]) -> Float[Tensor, "N 3"]:
+def score_confidence(depth: DepthMap, true_range_m: Float[Tensor, "B h w"]) -> Float[Tensor, "N 3"]:
     """Return confidence, range and whether it is right (1 or 0) of every valid range with a known truth."""
     counted = depth.valid & ~true_range_m.isnan()
     range_m, true_m = depth.range_m[counted].float(), true_range_m[counted].float()

@@ -13,7 +13,7 @@ from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
 from omniocc.errors import UserError
-from omniocc.loss import Total
+from omniocc.loss import TotalLoss
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import Sketched
 from omniocc.runs.scenes import Counted
@@ -49,7 +49,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
     def __init__(
         self,
         model: OccupancyModel,
-        loss: Total,
+        loss: TotalLoss,
         optimizer: AdamW,
         augment: Augment,
         ema_decay: float | None,

@@ -11,7 +11,7 @@ from torchmetrics import Metric, SumMetric
 from omniocc.batch import Batch, Truth
 from omniocc.classes import FREE
 from omniocc.data import SourceSpec
-from omniocc.geometry import Cuboid, Cylinder, Grid, look_up
+from omniocc.geometry import Cuboid, Cylinder, Grid, sample_nearest
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 from rayiou.ray_counts import TIMES
 
@@ -81,7 +81,7 @@ class Scores(nn.Module):
 
     def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: Batch | Truth) -> None:
         """Add a batch of predicted labels on the grid of the model."""
-        labels = look_up(labels, self.geometry, self.grid)
+        labels = sample_nearest(labels, self.geometry, self.grid)
         truth = batch.voxels if self.benchmark is None else batch.own_voxels
         self.voxel_frames.update(0 if truth is None else len(labels))
         self.timed_frames.update(0 if truth is None or batch.ray_times is None else len(labels))

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from omniocc.batch import Batch
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Candidates
+from omniocc.metric import CandidateScores
 from omniocc.model.protocols import LearnedSketch
 from omniocc.train.adamw import AdamW
 from omniocc.train.stage_task import StageTask
@@ -27,8 +27,8 @@ class SketchTask(StageTask[nn.Module]):
     def __init__(self, model: nn.Module, optimizer: AdamW, range_edges_m: Sequence[float], config: dict[str, Any]):
         super().__init__(model, optimizer, config)
         grid = cast(Cylinder | Cuboid, self.sketch.geometry)
-        self.raw = Candidates(grid, range_edges_m)
-        self.dilated = Candidates(grid, range_edges_m)
+        self.raw = CandidateScores(grid, range_edges_m)
+        self.dilated = CandidateScores(grid, range_edges_m)
 
     @property
     def sketch(self) -> LearnedSketch:
@@ -59,10 +59,10 @@ class SketchTask(StageTask[nn.Module]):
 def panorama(batch: Batch) -> tuple[Tensor, Tensor]:
     """Return predicted ranges and the mask of valid ones, (B, h, w) each."""
     assert batch.depth_range_m is not None
-    return known(batch.depth_range_m)
+    return finite_ranges(batch.depth_range_m)
 
 
-def known(range_m: Tensor) -> tuple[Tensor, Tensor]:
+def finite_ranges(range_m: Tensor) -> tuple[Tensor, Tensor]:
     """Return ranges with zeros where they are unknown, and the mask of known ones."""
     valid = range_m.isfinite()
     return range_m.masked_fill(~valid, 0.0), valid

@@ -140,7 +140,7 @@ class Stage(ABC):
         with self.claimed(title) as place:
             leaves = self.leaves() if self.followed else None
             if place.finished:
-                say(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.AGAIN}")
+                announce(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.AGAIN}")
             if not place.finished or (leaves and leaves.missing()):
                 seed_everything(self.recipe.seed, workers=True, verbose=False)
                 task = self.task(first_rig(self.data.source))
@@ -214,16 +214,16 @@ def announce(title: str, task: StageTask, data: OccupancyData, place: Place, giv
     """Print a line each on the folder, the model, the weights that it starts from (None: random ones), and data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     start = "begins" if place.checkpoint is None else f"goes on from {place.checkpoint.name}"
-    say(f"{title} {start}: {place.folder}")
+    announce(f"{title} {start}: {place.folder}")
     grid = data.geometry
     shape = f"{type(grid).__name__} {'x'.join(map(str, grid.shape))}"
-    say(f"model     {parameters:.2f} M parameters, {type(task.model).__name__}, {shape}")
+    announce(f"model     {parameters:.2f} M parameters, {type(task.model).__name__}, {shape}")
     if given is not None:
-        say(f"weights   {given}")
-    say(f"data      {data.source.folder}")
+        announce(f"weights   {given}")
+    announce(f"data      {data.source.folder}")
 
 
-def say(text: str) -> None:
+def announce(text: str) -> None:
     """Print a line in the first process."""
     if is_first():
         print(text, flush=True)

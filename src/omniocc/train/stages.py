@@ -29,7 +29,7 @@ from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
-from omniocc.progress import waiting
+from omniocc.progress import show_waiting
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import LAST, resumable
 from omniocc.runs.cost import cost_of, cost_of_network
@@ -44,8 +44,8 @@ from omniocc.train.every_frame import Leaves
 from omniocc.train.images import DepthImages, OccupancyImages, SketchImages
 from omniocc.train.occupancy import OccupancyTask
 from omniocc.train.scene_counts import save_by_scene
-from omniocc.train.sketch import SketchTask, known
-from omniocc.train.stage import Place, Stage, say
+from omniocc.train.sketch import SketchTask, finite_ranges
+from omniocc.train.stage import Place, Stage, announce
 from omniocc.train.stage_keys import Keys, stage_keys, wanted_stages
 from omniocc.train.stage_task import StageTask
 from omniocc.train.start import load_first_weights, load_fitting
@@ -100,7 +100,7 @@ class EarlierStage(Stage):
         with claimed(self.folder, title) if is_first() else nullcontext():
             checkpoint, message = (None, None) if self.finished or not self.learns else resumable(self.folder / LAST)
             if message:
-                say(message)
+                announce(message)
             yield Place(self.folder, checkpoint, self.results)
 
     def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:  # noqa: D102
@@ -162,7 +162,7 @@ class DepthStage(EarlierStage):
                 "stages.depth.max_steps=0)"
             )
         if getattr(task.model, "COMPARES_CAMERAS", False):
-            say(matching_line(shared_view(scene.rigs[0], SHARED_AT_M * self.panorama.rays())))
+            announce(matching_line(shared_view(scene.rigs[0], SHARED_AT_M * self.panorama.rays())))
         return super().begin(task, data, checkpoint)
 
     def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:  # noqa: D102
@@ -227,7 +227,7 @@ class SketchStage(EarlierStage):
         range_m = data.dataset("test")[0].depth_range_m
         assert range_m is not None
         device = next(task.parameters()).device
-        found = known(range_m[None].to(device))
+        found = finite_ranges(range_m[None].to(device))
         return cost_of_network(task.model, lambda: cast(SketchTask, task.eval()).sketch.hand_on(*found))
 
     def leaves(self) -> Leaves:  # noqa: D102
@@ -372,7 +372,7 @@ def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Ten
 
 def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tensor, ...]:
     """Return candidates, and bits of the evidence if there is any, (X, Y, Z) each, from a predicted panorama."""
-    return tuple(part[0] for part in task.sketch.hand_on(*known(range_m)) if part is not None)
+    return tuple(part[0] for part in task.sketch.hand_on(*finite_ranges(range_m)) if part is not None)
 
 
 @contextmanager
@@ -383,7 +383,7 @@ def claimed(folder: Path, title: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        with waiting(title, f"waits for another process that works in {folder}"):
+        with show_waiting(title, f"waits for another process that works in {folder}"):
             lock.acquire()
     try:
         yield

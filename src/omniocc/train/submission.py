@@ -10,7 +10,7 @@ from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
 from omniocc.data.source import SPLITS, NumberedSubmissions, PredictionReader, SceneFrames, Split, SubmittedScene
 from omniocc.errors import UserError
-from omniocc.geometry import look_up
+from omniocc.geometry import sample_nearest
 from omniocc.progress import Progress
 from omniocc.train.occupancy import OccupancyTask, predictions
 from omniocc.train.scores import Scores
@@ -110,7 +110,7 @@ def write_files(
     predicted = predictions(task, (collate([samples[k]]) for k in left), device)
     with Progress("predictions", len(left)) as progress:
         for (scene, frame), (_, labels) in zip((frames[k] for k in left), predicted, strict=True):
-            classes = look_up(labels, task.model.geometry, benchmark.grid)
+            classes = sample_nearest(labels, task.model.geometry, benchmark.grid)
             scene.write_prediction(folder / scene.prediction_file(frame), classes[0].cpu().numpy())
             progress.advance()
     return len(frames)

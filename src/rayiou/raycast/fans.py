@@ -17,7 +17,7 @@ STEEP = 0.02
 """Least horizontal length of a unit direction in a raster: closer to vertical the parameter `s` is inaccurate."""
 
 
-class Fans(NamedTuple):
+class RayFans(NamedTuple):
     """K origins x A azimuths x E elevations.
 
     Attributes:
@@ -44,7 +44,7 @@ class Fans(NamedTuple):
         return cls(origins.double(), directions[:, None, :2], slopes, torch.ones_like(slopes), order)
 
 
-class Scan:
+class RayScan:
     """D directions that are cast from each of several origins.
 
     If every azimuth occurs with every elevation, as in the raster of a LiDAR, rays are grouped into fans, which makes
@@ -72,7 +72,7 @@ class Scan:
         return len(self.directions)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Scan) and self.fingerprint == other.fingerprint
+        return isinstance(other, RayScan) and self.fingerprint == other.fingerprint
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
@@ -83,14 +83,14 @@ class Scan:
         repeated = origins.double().repeat_interleave(len(directions), dim=0)
         return repeated, directions.repeat(len(origins), 1)
 
-    def fans(self, origins: Float[Tensor, "O 3"]) -> Fans:
+    def fans(self, origins: Float[Tensor, "O 3"]) -> RayFans:
         """Return the rays from these origins (ego frame, metres), in the order of `rays`."""
         if self.raster is None:
-            return Fans.single(*self.rays(origins))
+            return RayFans.single(*self.rays(origins))
         azimuths, slopes, stretches, _, order = (part.to(origins.device) for part in self.raster)
         count = len(origins)
         azimuths, slopes, stretches = (part.expand(count, *part.shape) for part in (azimuths, slopes, stretches))
-        return Fans(origins.double(), azimuths, slopes, stretches, order)
+        return RayFans(origins.double(), azimuths, slopes, stretches, order)
 
 
 class _Raster(NamedTuple):

@@ -13,7 +13,7 @@ from torch import Tensor
 from rayiou.lattice import Lattice
 from rayiou.raycast import march
 from rayiou.raycast.crossings import clip_slab
-from rayiou.raycast.fans import Fans
+from rayiou.raycast.fans import RayFans
 from rayiou.raycast.trace import Hits
 
 RAYS_PER_TASK = 2000
@@ -32,7 +32,7 @@ class KernelTable:
     most origins never occur again.
     """
 
-    def __init__(self, grid: Lattice, fans: Fans):
+    def __init__(self, grid: Lattice, fans: RayFans):
         self.fans = fans
         bottom, top = grid.bounds[2]
         enter, leave = clip_slab(fans.origins[:, 2:].expand_as(fans.slopes), fans.slopes, (bottom, top))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rayiou.lattice import Lattice
 from rayiou.raycast.crossings import Rays
-from rayiou.raycast.fans import Fans, Scan
+from rayiou.raycast.fans import RayFans, RayScan
 from rayiou.raycast.kernel_table import KernelTable
 from rayiou.raycast.tensor_table import MAX_LEVELS, TensorTable
 from rayiou.raycast.trace import Hits
@@ -27,7 +27,7 @@ class RayTable:
         ValueError: if the grid has more than 48 levels.
     """
 
-    def __init__(self, grid: Lattice, fans: Fans):
+    def __init__(self, grid: Lattice, fans: RayFans):
         if grid.shape[2] > MAX_LEVELS:
             raise ValueError(f"rays are cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()")
         self.shape, self.device = grid.shape, fans.origins.device
@@ -71,11 +71,11 @@ def cast(grid: Lattice, labels: UInt8[Tensor, "X Y Z"], origins: Rays, direction
     parts = []
     for first in range(0, max(len(origins), 1), chunk_rays):
         chunk = slice(first, first + chunk_rays)
-        parts.append(RayTable(grid, Fans.single(origins[chunk], directions[chunk])).cast(labels))
+        parts.append(RayTable(grid, RayFans.single(origins[chunk], directions[chunk])).cast(labels))
     return Hits(*(torch.cat(part) for part in zip(*parts, strict=True)))
 
 
-def ray_table(grid: Lattice, origins: Float[Tensor, "O 3"], scan: Scan) -> RayTable:
+def ray_table(grid: Lattice, origins: Float[Tensor, "O 3"], scan: RayScan) -> RayTable:
     """Return prepared rays, from a cache of the last few tables.
 
     Args:
@@ -87,6 +87,6 @@ def ray_table(grid: Lattice, origins: Float[Tensor, "O 3"], scan: Scan) -> RayTa
 
 
 @functools.lru_cache(maxsize=4)
-def _cached(grid: Lattice, origins: bytes, scan: Scan, device: str) -> RayTable:
+def _cached(grid: Lattice, origins: bytes, scan: RayScan, device: str) -> RayTable:
     starts = torch.frombuffer(bytearray(origins), dtype=torch.float64).reshape(-1, 3).to(device)
     return RayTable(grid, scan.fans(starts))

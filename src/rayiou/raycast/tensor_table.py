@@ -18,7 +18,7 @@ from torch.nn import functional as F
 from rayiou.labels import FREE
 from rayiou.lattice import Lattice
 from rayiou.raycast.crossings import FAR, TOUCH_M, clip_slab
-from rayiou.raycast.fans import Fans
+from rayiou.raycast.fans import RayFans
 from rayiou.raycast.trace import CHUNK_RAYS, Hits, clip, in_order, stack_ragged
 
 MAX_LEVELS = 48
@@ -67,7 +67,7 @@ def find_columns(
     return stack_ragged(cells, none).long(), stack_ragged(ends, None)
 
 
-def find_levels(grid: Lattice, fans: Fans) -> Levels:
+def find_levels(grid: Lattice, fans: RayFans) -> Levels:
     """Return the levels that rays are in, of at most `MAX_LEVELS` levels."""
     (low, high), count = grid.bounds[2], grid.shape[2]
     edges = torch.linspace(low, high, count + 1, dtype=torch.float64, device=fans.origins.device)
@@ -95,7 +95,7 @@ def find_levels(grid: Lattice, fans: Fans) -> Levels:
 class TensorTable:
     """Rays of one grid on any device, for grids of at most 48 levels; needs 8 bytes for every column of every ray."""
 
-    def __init__(self, grid: Lattice, fans: Fans):
+    def __init__(self, grid: Lattice, fans: RayFans):
         origins, azimuths = fans.azimuths.shape[:2]
         self.fans, self.levels, self.grid = fans, find_levels(grid, fans), grid
         columns = find_columns(grid, fans.origins.repeat_interleave(azimuths, dim=0), fans.azimuths.flatten(0, 1))

@@ -18,7 +18,7 @@ CHUNK_RAYS = 1024
 """Rays whose crossings are sorted together, few enough for the processor's cache."""
 
 
-class Paths(NamedTuple):
+class RayPaths(NamedTuple):
     """The cells that R rays cross, L at most.
 
     Attributes:
@@ -59,7 +59,7 @@ class Hits(NamedTuple):
     exit_m: Float32[Tensor, " R"]
 
 
-def paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
+def paths(grid: Lattice, origins: Rays, directions: Rays) -> RayPaths:
     """Return all cells that rays cross.
 
     Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
@@ -68,10 +68,10 @@ def paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
     chunks = range(0, max(len(origins), 1), CHUNK_RAYS)
     parts = [_paths(grid, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS]) for i in chunks]
     cells, bounds_m, valid = zip(*parts, strict=True)
-    return Paths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
+    return RayPaths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
 
 
-def _paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
+def _paths(grid: Lattice, origins: Rays, directions: Rays) -> RayPaths:
     origins, directions = origins.double(), unit(directions)
     start_m, leave_m = clip(grid, origins, directions)
     _, second, third = grid.shape
@@ -85,7 +85,7 @@ def _paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
     packed[ray, column] = cells[ray, segment].clamp(min=-1)
     packed_m = leave_m.float().unsqueeze(1).repeat(1, length + 1)
     packed_m[ray, column] = bounds_m[ray, segment].float()
-    return Paths(packed, packed_m, count > 0)
+    return RayPaths(packed, packed_m, count > 0)
 
 
 def unit(directions: Rays) -> Float64[Tensor, "R 3"]:

@@ -17,7 +17,7 @@ from omniocc.parts import Parts
 from omniocc.predict.submission import predict_submission
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import LAST
-from omniocc.train.build import build_task, fitting
+from omniocc.train.build import build_task, without_unused_head
 from omniocc.train.stages import DepthStage, SketchStage
 from omniocc.train.submission import frames_of, score_files, write_files
 
@@ -42,7 +42,7 @@ def train(cfg):
     seed_everything(0, verbose=False)
     data = build(cfg.data)
     data.prepare_data()
-    parts, _ = fitting(Parts(cfg), data.source.scenes("train"))
+    parts, _ = without_unused_head(Parts(cfg), data.source.scenes("train"))
     data.setup()
     task = build_task(parts, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
@@ -188,16 +188,16 @@ def test_without_classes_of_pixels_the_2d_head_is_off(smoke, occ3d, kitti):
     cfg = smoke("model=extended", *occ3d)
     data = build(cfg.data)
     data.prepare_data()
-    parts, line = fitting(Parts(cfg), data.source.scenes("train"))
+    parts, line = without_unused_head(Parts(cfg), data.source.scenes("train"))
     assert line.startswith("the training frames have no classes of pixels, so the 2D head is left out: model/semantic")
     model = build_task(parts, data.source.spec).model
     assert model.hints.classes is None
     assert not list(model.semantic_head.parameters())
     assert cfg.model.hints.pixel_classes, "the configuration that was given is as it was"
-    assert fitting(parts, data.source.scenes("train")) == (parts, None)
+    assert without_unused_head(parts, data.source.scenes("train")) == (parts, None)
     with_classes = Parts(smoke("model=extended", *kitti))
-    assert fitting(with_classes, with_classes.source().scenes("train")) == (with_classes, None)
-    assert fitting(with_classes, []) == (with_classes, None)
+    assert without_unused_head(with_classes, with_classes.source().scenes("train")) == (with_classes, None)
+    assert without_unused_head(with_classes, []) == (with_classes, None)
 
 
 def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, tmp_path):

@@ -18,7 +18,7 @@ from omniocc.data.store.files import LIMIT_BYTES, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.reader import RIG_LIMIT_BYTES
 from omniocc.data.store.shard import INDEX, META, SceneWriter
-from omniocc.errors import DataError, shown
+from omniocc.errors import DataError, repr_of
 from omniocc.geometry import Cuboid
 
 pytestmark = pytest.mark.usefixtures("little_memory")
@@ -94,7 +94,7 @@ def test_a_number_of_frames_that_no_index_lists(frames, tmp_path):
     index_bytes = (tmp_path / "scene" / INDEX).stat().st_size
     with pytest.raises(DataError) as error:
         len(SceneReader(tmp_path / "scene"))
-    said = f"'frames' is {shown(frames)}, but its index.json of {index_bytes:,} bytes can list at most"
+    said = f"'frames' is {repr_of(frames)}, but its index.json of {index_bytes:,} bytes can list at most"
     assert f"{tmp_path}/scene/meta.json" in str(error.value)
     assert f"{said} {index_bytes // 50}. " in str(error.value)
 

@@ -13,7 +13,7 @@ from omniocc.data import DataError, SceneReader
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.train.build import fitting
+from omniocc.train.build import without_unused_head
 from omniocc.train.depth import DepthTask
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
@@ -44,7 +44,7 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     recorder(lidar_option("npz"), "road_z_m=-2.0").record(tmp_path)
     cfg, data = data_of(smoke, tmp_path, classes=2)
     data.prepare_data()
-    assert "no classes of pixels" in str(fitting(Parts(cfg), data.source.scenes("train"))[1])
+    assert "no classes of pixels" in str(without_unused_head(Parts(cfg), data.source.scenes("train"))[1])
     data.read_only(data.needs["train"]._replace(panorama=True, camera_ranges=True), data.needs["test"])
     data.setup()
     batch = next(iter(data.train_dataloader()))

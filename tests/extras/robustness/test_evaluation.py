@@ -15,7 +15,7 @@ from omniocc.data import collate
 from omniocc.data.dataset import WindowDataset
 from omniocc.errors import UserError
 from omniocc.extras.robustness import evaluation
-from omniocc.extras.robustness.disturb.disturbed_scene import disturbed
+from omniocc.extras.robustness.disturb.disturbed_scene import disturb_scene
 from omniocc.extras.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
 from omniocc.extras.robustness.parts import parts_of
 from omniocc.parts import Parts
@@ -79,7 +79,7 @@ def test_scores_are_those_of_the_model_on_the_disturbed_frames(checkpoint, teste
     task, data = trained.task, trained.data
     data.prepare_data()
     part = next(part for part in parts_of(data.source.scenes("test")[0].rig.names, ()) if part.name == "view_90_deg")
-    scenes = [disturbed(scene, part.disturbance, part.name, 0) for scene in data.source.scenes("test")]
+    scenes = [disturb_scene(scene, part.disturbance, part.name, 0) for scene in data.source.scenes("test")]
     windows, scores = WindowDataset(scenes, data.voxels, data.window), Scores(task.model.geometry, data.source.spec)
     with torch.no_grad():
         for k in range(len(windows)):

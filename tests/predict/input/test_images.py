@@ -6,7 +6,7 @@ from PIL import Image
 
 from omniocc.camera import Equidistant, KannalaBrandt, Rig
 from omniocc.errors import UserError
-from omniocc.predict import Frame, find_frames, read_frame, resized_to_width
+from omniocc.predict import FrameFiles, find_frames, read_frame, resized_to_width
 from omniocc.predict.input.images import even_size, ignored_images, remarks
 
 CAMERAS = (Equidistant(64, 36, 19.0, (31.5, 17.5), 95.0), Equidistant(96, 54, 28.0, (47.5, 26.5), 95.0))
@@ -22,7 +22,7 @@ def save(path, width=64, height=36, value=90):
 def test_a_folder_with_an_image_named_as_each_camera(tmp_path):
     front, back = save(tmp_path / "front.png"), save(tmp_path / "back.jpg", 96, 54)
     save(tmp_path / "notes.png")
-    assert find_frames(str(tmp_path), RIG) == [Frame("", (front, back))]
+    assert find_frames(str(tmp_path), RIG) == [FrameFiles("", (front, back))]
 
 
 def test_folders_are_frames_in_the_order_of_their_names(tmp_path):
@@ -37,8 +37,8 @@ def test_folders_are_frames_in_the_order_of_their_names(tmp_path):
 
 def test_a_list_has_the_order_of_the_rig(tmp_path):
     paths = [save(tmp_path / "x.png"), save(tmp_path / "y.png")]
-    assert find_frames([str(path) for path in paths], RIG) == [Frame("", tuple(paths))]
-    assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [Frame("", (paths[0], None))]
+    assert find_frames([str(path) for path in paths], RIG) == [FrameFiles("", tuple(paths))]
+    assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [FrameFiles("", (paths[0], None))]
 
 
 def test_a_list_of_files_named_as_the_cameras_may_have_any_order(tmp_path):
@@ -115,26 +115,26 @@ def test_damaged_and_cropped_images_are_named(tmp_path):
     front, back = tmp_path / "front.png", save(tmp_path / "back.png", 96, 54)
     front.write_bytes(b"not an image")
     with pytest.raises(UserError, match=r"front\.png.*damaged.*exclude_cameras=\[front\]"):
-        read_frame(Frame("", (front, back)), RIG)
+        read_frame(FrameFiles("", (front, back)), RIG)
     save(front, 64, 48)
     with pytest.raises(UserError, match=r"64x48 px.*front.*64x36 px"):
-        read_frame(Frame("", (front, back)), RIG)
+        read_frame(FrameFiles("", (front, back)), RIG)
 
 
 def test_an_image_that_is_cut_off_is_named(tmp_path):
     path = tmp_path / "front.jpg"
     whole = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (36, 64, 3), np.uint8))[1].tobytes()
     path.write_bytes(whole)
-    assert read_frame(Frame("", (path, None)), RIG)[0].shape == (36, 64, 3)
+    assert read_frame(FrameFiles("", (path, None)), RIG)[0].shape == (36, 64, 3)
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(UserError, match=r"front\.jpg.*incomplete"):
-        read_frame(Frame("", (path, None)), RIG)
+        read_frame(FrameFiles("", (path, None)), RIG)
 
 
 def test_the_order_of_colours_is_rgb(tmp_path):
     path = tmp_path / "front.png"
     cv2.imwrite(str(path), np.full((36, 64, 3), (10, 20, 30), np.uint8))  # OpenCV writes BGR
-    assert read_frame(Frame("", (path, None)), RIG)[0][0, 0].tolist() == [30, 20, 10]
+    assert read_frame(FrameFiles("", (path, None)), RIG)[0][0, 0].tolist() == [30, 20, 10]
 
 
 @pytest.mark.parametrize(("width", "size"), [(None, (64, 36)), (32, (32, 18)), (100, (96, 54))])

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from omniocc.geometry import Scan
+from omniocc.geometry import RayScan
 from omniocc.metric import sparseocc_directions
 
 
@@ -19,7 +19,7 @@ def rays_of(fans):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_public_rays_are_a_raster_in_any_order(dtype):
     directions = sparseocc_directions()[torch.randperm(14040, generator=torch.Generator().manual_seed(0))]
-    scan = Scan(3 * directions.to(dtype))
+    scan = RayScan(3 * directions.to(dtype))
     origins = torch.tensor([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
     fans = scan.fans(origins)
     assert fans.azimuths.shape == (2, 360, 2)
@@ -36,7 +36,7 @@ def test_the_public_rays_are_a_raster_in_any_order(dtype):
 def test_azimuths_on_both_sides_of_the_seam_are_equal():
     azimuth = torch.tensor([[-1.0, 1e-17], [-1.0, -1e-17], [0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
     directions = torch.cat([azimuth, torch.tensor([[0.1], [0.5], [0.1], [0.5]])], dim=1)
-    scan = Scan(directions)
+    scan = RayScan(directions)
     assert scan.raster is not None
     assert scan.raster.azimuths.shape == (2, 2)
 
@@ -51,7 +51,7 @@ def test_azimuths_on_both_sides_of_the_seam_are_equal():
     ],
 )
 def test_other_directions_are_fans_of_one_ray(directions):
-    scan = Scan(directions)
+    scan = RayScan(directions)
     assert scan.raster is None
     start, unit, count = rays_of(scan.fans(torch.ones(2, 3)))
     assert count == 2 * len(directions)
@@ -62,4 +62,4 @@ def test_other_directions_are_fans_of_one_ray(directions):
 @pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0], [1.0, float("nan"), 0.0], [float("inf"), 0.0, 0.0]])
 def test_directions_without_length_are_refused(bad):
     with pytest.raises(ValueError, match=r"directions.*finite"):
-        Scan(torch.tensor([[1.0, 0.0, 0.0], bad]))
+        RayScan(torch.tensor([[1.0, 0.0, 0.0], bad]))

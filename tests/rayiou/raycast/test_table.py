@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from omniocc.geometry import Cuboid, Cylinder, Scan, ray_table
+from omniocc.geometry import Cuboid, Cylinder, RayScan, ray_table
 from omniocc.metric import sparseocc_directions
-from rayiou.raycast.fans import Fans
+from rayiou.raycast.fans import RayFans
 from rayiou.raycast.table import RayTable
 from rayiou.raycast.tensor_table import TensorTable
 
@@ -65,7 +65,7 @@ def test_single_rays(grid, occupancy, table):
     directions[:200, :2] = 0  # vertical
     directions[200:400, 2] = 0  # level
     labels = random_labels(grid, occupancy, generator)
-    rays, expected = table(grid, Fans.single(origins, directions)), first_hits(grid, labels, origins, directions)
+    rays, expected = table(grid, RayFans.single(origins, directions)), first_hits(grid, labels, origins, directions)
     for _ in range(3):  # the columns are found, found and kept, and reused
         hits = rays.cast(labels)
         check_same(hits, expected)
@@ -79,7 +79,7 @@ def test_single_rays(grid, occupancy, table):
 @pytest.mark.parametrize("occupancy", [0.005, 0.2])
 def test_lidar_raster_agrees_with_single_rays(grid, occupancy, table):
     generator = torch.Generator().manual_seed(1)
-    scan = Scan(sparseocc_directions().reshape(39, 360, 3)[::2, ::7].reshape(-1, 3))
+    scan = RayScan(sparseocc_directions().reshape(39, 360, 3)[::2, ::7].reshape(-1, 3))
     assert scan.raster is not None
     origins = (torch.rand(9, 3, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([24.0, 24.0, 8.0])
     origins[0] = 0  # on the axis
@@ -94,7 +94,7 @@ def test_lidar_raster_agrees_with_single_rays(grid, occupancy, table):
 
 def test_the_public_rays_on_the_papers_grids():
     generator = torch.Generator().manual_seed(2)
-    scan = Scan(sparseocc_directions())
+    scan = RayScan(sparseocc_directions())
     origins = torch.tensor([[0.0, 0.0, 0.0], [-3.7, 11.3, 0.4]], dtype=torch.float64)
     for grid in (Cylinder(), Cuboid()):
         labels = random_labels(grid, 0.01, generator)
@@ -106,7 +106,7 @@ def test_the_public_rays_on_the_papers_grids():
 def test_several_volumes_at_once():
     generator = torch.Generator().manual_seed(3)
     volumes = [random_labels(GRIDS[0], occupancy, generator) for occupancy in (0.01, 0.1, 0.0)]
-    table = ray_table(GRIDS[0], torch.zeros(2, 3), Scan(sparseocc_directions()[::11]))
+    table = ray_table(GRIDS[0], torch.zeros(2, 3), RayScan(sparseocc_directions()[::11]))
     for labels, hits in zip(volumes, table.cast_all(volumes), strict=True):
         for mine, theirs in zip(hits, table.cast(labels), strict=True):
             assert torch.equal(mine, theirs)
@@ -114,20 +114,20 @@ def test_several_volumes_at_once():
 
 def test_equal_rays_and_grids_use_one_table():
     origins, directions = torch.zeros(2, 3), torch.randn(4, 3)
-    scan = Scan(directions)
+    scan = RayScan(directions)
     table = ray_table(Cuboid(shape=(4, 4, 4)), origins, scan)
-    assert ray_table(Cuboid(shape=[4, 4, 4]), origins.double(), Scan(directions.clone())) is table
+    assert ray_table(Cuboid(shape=[4, 4, 4]), origins.double(), RayScan(directions.clone())) is table
     assert ray_table(Cuboid(shape=(4, 4, 4)), origins + 1, scan) is not table
-    assert ray_table(Cuboid(shape=(4, 4, 4)), origins, Scan(-directions)) is not table
+    assert ray_table(Cuboid(shape=(4, 4, 4)), origins, RayScan(-directions)) is not table
     assert ray_table(Cuboid(shape=(4, 4, 2)), origins, scan) is not table
 
 
 def test_error_names_wrong_input():
-    table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
+    table = ray_table(GRIDS[0], torch.zeros(1, 3), RayScan(torch.ones(1, 3)))
     with pytest.raises(ValueError, match=r"labels.*\(24, 30, 6\).*\(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
     with pytest.raises(ValueError, match=r"48 levels.*\(2, 2, 49\)"):
-        RayTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+        RayTable(Cuboid(shape=(2, 2, 49)), RayFans.single(torch.zeros(1, 3), torch.ones(1, 3)))
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e300])

@@ -12,7 +12,7 @@ from omniocc.report.tables.claims import (
     Judged,
     Rows,
     claims_of,
-    judged,
+    verdicts_of,
     metric_of,
     names_in,
     pairs_of,
@@ -40,7 +40,7 @@ def row(name: str, *values: float, lidar: float | None = None) -> list[FinishedR
 
 def cells(table: PaperTable, rows: Rows, judge: str) -> list[list[str]]:
     """Return the lines of the table of all claims in one metric."""
-    return [line.cells for line in claim_lines([table], rows, judged([table], rows)) if line.judge == judge]
+    return [line.cells for line in claim_lines([table], rows, verdicts_of([table], rows)) if line.judge == judge]
 
 
 def titles(table: PaperTable) -> list[tuple[str, str]]:
@@ -136,7 +136,7 @@ def test_the_family_has_every_claim_of_all_tables_once():
         "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7), "dense": row("dense", 0.25, 0.24, lidar=0.7),
     }  # fmt: skip
     tables = [COMPARISON, COMPARISON._replace(name="again"), SKETCH]
-    found = judged(tables, runs)
+    found = verdicts_of(tables, runs)
     own = [entry for (*_, key), entry in found.items() if key == OWN]
     assert len(own) == len(found) / 2 == 4  # over BEVDet, VoxFormer and dense voxels, and VoxFormer over BEVDet
     least = min(own, key=lambda entry: entry.claim.gap.p_none)
@@ -156,14 +156,14 @@ def test_rows_without_printed_figures_have_claims_of_their_own(tmp_path):
     table = load_table(tmp_path / "mine.yaml")
     assert titles(table) == [("mine", "plain"), ("mine", "ours")]
     runs = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.21, 0.23)}
-    (found,) = judged([table], runs).values()
+    (found,) = verdicts_of([table], runs).values()
     assert found.none == pytest.approx(0.12690, abs=1e-5)
     first, not_run = cells(table, runs, VOXEL_RAYIOU)
     told = ["mine ahead of plain", "Mine", "undecided", "+0.100 ± 0.010", "–", "–", "–", "2 and 2", ".063 (.13)", "–"]
     assert first == told
     assert not_run == ["mine ahead of paper's", "Mine", "not run", *["–"] * 7]
     same = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.20, 0.24)}
-    assert [each.verdict for each in judged([table], same).values()] == ["holds"]
+    assert [each.verdict for each in verdicts_of([table], same).values()] == ["holds"]
 
 
 def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_a_printed_one():
@@ -172,7 +172,7 @@ def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_
     again = own._replace(name="again", claims=[("ours", "dense")])
     runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.20, 0.25)}
     for tables in ([again, own, SKETCH], [SKETCH, own, again]):
-        (found,) = judged(tables, runs).values()
+        (found,) = verdicts_of(tables, runs).values()
         assert found.claim.paper == pytest.approx(0.036)
         assert found.none == pytest.approx(min(1, 5 * found.claim.gap.p_none))
         assert found.size == pytest.approx(min(1, 4 * found.claim.p_size))
@@ -181,8 +181,8 @@ def test_a_claim_of_ones_own_counts_in_the_family_of_no_gap_alone_and_never_for_
 def test_a_table_of_ones_own_is_a_family_by_itself():
     mine = SKETCH._replace(name="mine", page="", claims=[("random", "dense"), ("mono", "dense")])
     runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.20, 0.25), "random": row("random", 0.1, 0.3)}
-    alone = judged([SKETCH], runs)
-    both = judged([SKETCH, mine], runs)
+    alone = verdicts_of([SKETCH], runs)
+    both = verdicts_of([SKETCH, mine], runs)
     assert {name: both[name] for name in alone} == alone
     assert len(both) > len(alone)
 
@@ -192,7 +192,7 @@ def test_a_judge_decides_only_the_claims_in_its_scores():
     printed = [entry._replace(paper={"test/voxel/miou": entry.paper[OWN]}) for entry in SKETCH.rows]
     cells = SKETCH._replace(name="cells", order_by="test/voxel/miou", columns={"test/voxel/miou": "mIoU"}, rows=printed)
     runs = {"ours": row("ours", 0.30, 0.34, lidar=0.7), "wo_dilation": row("wo", 0.20, 0.25, lidar=0.7)}
-    found = judged([SKETCH, cells], runs)
+    found = verdicts_of([SKETCH, cells], runs)
     families = {key: entry.none / entry.claim.gap.p_none for (*_, key), entry in found.items()}
     assert families == pytest.approx({OWN: 8, LIDAR: 4})
 
@@ -225,7 +225,7 @@ def test_a_row_under_two_names_is_one_row():
     runs["ours@1000"] = runs["ours"]
     names = {"ours": "ours@1000"}
     renamed = SKETCH._replace(rows=[entry._replace(run=names.get(entry.run, entry.run)) for entry in SKETCH.rows])
-    twice, once = (judged(tables, runs) for tables in ([SKETCH, renamed], [SKETCH]))
+    twice, once = (verdicts_of(tables, runs) for tables in ([SKETCH, renamed], [SKETCH]))
     assert twice == once
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.claims import judged
+from omniocc.report.tables.claims import verdicts_of
 from omniocc.report.tables.paper import load_table
 from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_text
 from omniocc.report.tables.verdicts import verdicts_parts
@@ -66,7 +66,7 @@ def test_claims_about_rows_counted_in_two_ways_are_not_decided():
         for row in ("ours", "dense", "random")
     }
     rows["random"] = [run._replace(facts=run.facts | {"protocol": OTHER}) for run in rows["random"]]
-    part, *_ = verdicts_parts([table], rows, judged([table], rows))
+    part, *_ = verdicts_parts([table], rows, verdicts_of([table], rows))
     assert {line[0]: line[2] for line in part.cells[1]} == {
         "Sketch ahead of all voxels": "undecided",
         "Sketch ahead of random voxels": "not compared: other protocols",

@@ -59,7 +59,7 @@ def sweep(tmp_path) -> Sweep:
 
 def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
     sweeps = training.by_steps(sweep)
-    (claim,) = training.compared(sweeps)
+    (claim,) = training.compare_training(sweeps)
     head, (line,) = training.change_cells([claim], sweeps)
     assert head == [
         "Claim", "Metric", "100 steps", "Verdict", "1,000 steps", "Verdict", "Change", "No change: p", "Changes",
@@ -99,7 +99,7 @@ def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):
         for each, steps in ((sweep, "100"), (sweep.longer[0], "1000"))
     )
     both = short._replace(longer=[long])
-    (claim,) = training.compared(training.by_steps(both))
+    (claim,) = training.compare_training(training.by_steps(both))
     assert claim.title == "OmniDepth-Occ ahead of VoxFormer"
     assert [round(found.claim.gap.here, 3) for found in claim.found if found] == [0.095, 0.296]
     short, long = (line for line in csv_of(both) if line["row"] == "voxformer_pinhole")
@@ -117,7 +117,7 @@ def test_claims_on_a_band_of_distance_name_it(sweep, tmp_path):
         each._replace(tables=[distance.of_steps(str(steps))], rows={**each.rows, **systems[steps]})
         for each, steps in ((sweep, 100), (sweep.longer[0], 1000))
     )
-    (claim,) = training.compared(training.by_steps(short._replace(longer=[long])))
+    (claim,) = training.compare_training(training.by_steps(short._replace(longer=[long])))
     assert claim.title == "OmniDepth-Occ ahead of BEVDet, 0-8.5 m"
 
 

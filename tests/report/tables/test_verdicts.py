@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.claims import judged
+from omniocc.report.tables.claims import verdicts_of
 from omniocc.report.tables.paper import load_table
 from omniocc.report.tables.verdicts import CSV_HEAD, csv_lines, verdicts_parts
 
@@ -20,7 +20,7 @@ def test_claims_stand_once_and_by_verdict():
         "random": row("random", 0.200, 0.201, 0.202),
     }  # fmt: skip
     again = SKETCH._replace(name="again", title="Again")
-    part, surface, _ = verdicts_parts([SKETCH, again], runs, judged([SKETCH, again], runs))
+    part, surface, _ = verdicts_parts([SKETCH, again], runs, verdicts_of([SKETCH, again], runs))
     lines = part.cells[1]
     assert (part.title, surface.title) == ("Claims by voxel RayIoU", "Claims by surface RayIoU")
     assert [(line[0], line[2]) for line in lines] == [
@@ -39,7 +39,7 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
         "ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": row("wo", 0.26, 0.36, 0.30),
         "random": row("random", 0.200, 0.2011, 0.202),
     }  # fmt: skip
-    decided = judged([part], runs)
+    decided = verdicts_of([part], runs)
     *_, (_, title, _, (_, lines)) = verdicts_parts([part], runs, decided)
     assert title == "Claims by paired differences"
     wo_dilation, random = lines
@@ -54,13 +54,13 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
 def test_rows_with_other_depth_networks_are_not_paired():
     again = [run._replace(metrics=run.metrics | {"test/depth/mae": 1.5}) for run in row("wo", 0.26, 0.36, 0.30)]
     runs = {"ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": again}
-    decided = judged([SKETCH], runs)
+    decided = verdicts_of([SKETCH], runs)
     assert [part.name for part in verdicts_parts([SKETCH], runs, decided)] == ["claims-voxel", "claims-surface"]
-    assert judged([SKETCH], runs, paired=True) == decided
+    assert verdicts_of([SKETCH], runs, paired=True) == decided
 
 
 def test_systems_are_not_paired():
     runs = {"ours": row("ours", 0.3, 0.31, 0.32), "random": row("random", 0.2, 0.22, 0.21)}
-    decided = judged([SKETCH], runs)
+    decided = verdicts_of([SKETCH], runs)
     assert [part.name for part in verdicts_parts([SKETCH], runs, decided)] == ["claims-voxel", "claims-surface"]
-    assert judged([SKETCH], runs, paired=True) == decided
+    assert verdicts_of([SKETCH], runs, paired=True) == decided

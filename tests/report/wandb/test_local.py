@@ -17,7 +17,7 @@ import pytest
 
 import omniocc
 from omniocc.report.wandb.local import main, renew_links
-from omniocc.report.wandb.upload import waiting
+from omniocc.report.wandb.upload import pending_runs
 
 
 def run(folder, kind="offline-run", second=1):
@@ -47,7 +47,7 @@ def test_runs_and_stages_are_linked_under_their_names(tmp_path):
         "run-20260101_000003-mono-0123/files": again.parent / "files",
     }
     assert all(not os.readlink(path).startswith("/") for path in folder.glob("*/*")), "the folder can be moved"
-    assert waiting(tmp_path) == [mono, again], "links are not uploaded"
+    assert pending_runs(tmp_path) == [mono, again], "links are not uploaded"
 
 
 def test_links_are_kept_current(tmp_path):

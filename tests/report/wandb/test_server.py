@@ -126,7 +126,7 @@ def test_what_was_not_uploaded_waits_and_says_why(server, tmp_path, capfd):
     os.utime(path, (0, 0))  # an old file
     upload.main(["--runs", str(tmp_path)])
     assert server.history(run_id(killed))[-1][STEP] == 2
-    assert upload.waiting(tmp_path) == []
+    assert upload.pending_runs(tmp_path) == []
 
 
 def test_a_setting_that_is_no_address_is_one_line(address):
@@ -155,7 +155,7 @@ def test_without_a_server_that_answers_there_is_one_line(status, address, tmp_pa
                 Loggers("online", "p", None, []).build(tmp_path, CONFIG, "occupancy")
             with pytest.raises(SystemExit, match=f"not saved, .*: {reason}"):
                 dashboard.main([])
-    assert upload.waiting(tmp_path) == [path]
+    assert upload.pending_runs(tmp_path) == [path]
 
 
 @pytest.mark.skipif(find_spec("wandb_workspaces") is None, reason="needs the extra 'dashboard'")

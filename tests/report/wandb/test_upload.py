@@ -6,7 +6,7 @@ from filelock import FileLock
 from offline_file import files_of, history, runs_in
 
 from omniocc.report.wandb.killed import remove_half_record, whole_bytes
-from omniocc.report.wandb.upload import log_report, main, waiting
+from omniocc.report.wandb.upload import log_report, main, pending_runs
 
 
 def offline_run(folder, number=1):
@@ -18,17 +18,17 @@ def offline_run(folder, number=1):
 
 def test_runs_stages_and_what_a_resumed_run_adds_wait(tmp_path):
     run, stage = offline_run(tmp_path / "mono-1"), offline_run(tmp_path / "stages" / "depth-2")
-    assert waiting(tmp_path) == [run, stage]
+    assert pending_runs(tmp_path) == [run, stage]
     run.with_name("run-x.wandb.synced").touch()
     more = offline_run(tmp_path / "mono-1", 2)
-    assert waiting(tmp_path) == [more, stage]
+    assert pending_runs(tmp_path) == [more, stage]
 
 
 def test_a_run_in_progress_is_left_alone(tmp_path):
     run = offline_run(tmp_path / "mono-1")
     with FileLock(run.parents[2] / ".lock"):
-        assert waiting(tmp_path) == []
-    assert waiting(tmp_path) == [run]
+        assert pending_runs(tmp_path) == []
+    assert pending_runs(tmp_path) == [run]
 
 
 def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
-from omniocc.errors import DataError, shortened, shown
+from omniocc.errors import DataError, shortened, repr_of
 from omniocc.images import read_mask
 from omniocc.io import number_of
 
@@ -41,7 +41,7 @@ def naming(place: str) -> Iterator[None]:
 def mapping(value: Any, what: str) -> dict[Any, Any]:
     """Return `value`; raise ValueError if it is no mapping, or empty."""
     if not isinstance(value, dict) or not value:
-        raise ValueError(f"{what} is {shown(value)}; it must be a mapping with entries")
+        raise ValueError(f"{what} is {repr_of(value)}; it must be a mapping with entries")
     return value
 
 
@@ -75,10 +75,10 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
         value = _matrix_data(key, value)
     elif isinstance(value, list) and value and all(isinstance(line, list) for line in value):
         if len({len(line) for line in value}) > 1:
-            raise ValueError(f"{key} is {shown(value)}; its rows differ in length; is the file whole?")
+            raise ValueError(f"{key} is {repr_of(value)}; its rows differ in length; is the file whole?")
         value = [item for line in value for item in line]
     if not isinstance(value, list) or (count is not None and len(value) != count):
-        raise ValueError(f"{key} is {shown(value)}; it must be {count or 'a list of'} numbers; is the file whole?")
+        raise ValueError(f"{key} is {repr_of(value)}; it must be {count or 'a list of'} numbers; is the file whole?")
     return [_number(key, item) for item in value]
 
 
@@ -138,14 +138,14 @@ def _number(key: str, value: Any) -> float:
         try:
             value = number_of(value)
         except ValueError:
-            raise ValueError(f"{key} is {shown(value)}; it must be a finite number") from None
+            raise ValueError(f"{key} is {repr_of(value)}; it must be a finite number") from None
     return finite(key, value)
 
 
 def _whole(key: str, value: Any) -> int:
     result = _number(key, value)
     if result != int(result):
-        raise ValueError(f"{key} is {shown(value)}; it must be a whole number")
+        raise ValueError(f"{key} is {repr_of(value)}; it must be a whole number")
     return int(result)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
 from omniocc.data.formats.files import load_npz, named_once, read_array, whole_numbers
-from omniocc.errors import DataError, shown
+from omniocc.errors import DataError, repr_of
 from omniocc.io import read_bytes
 
 LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
@@ -405,7 +405,7 @@ def _lzf(packed: np.ndarray, result: np.ndarray) -> int:
 
 def _whole(path: Path, name: str, text: str) -> int:
     if not re.fullmatch("[0-9]{1,15}", text):
-        raise DataError(f"{path}: {name} is {shown(text)}; it must be a whole number")
+        raise DataError(f"{path}: {name} is {repr_of(text)}; it must be a whole number")
     return int(text)
 
 

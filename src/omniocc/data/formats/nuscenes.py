@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError, first_line, shown
+from omniocc.errors import DataError, first_line, repr_of
 from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
@@ -125,7 +125,7 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
                         place = begin  # the record goes on in the next chunk
                         break
                     if not isinstance(record, dict) or None in record.values():
-                        raise ValueError(f"a record holds no value, or null: {shown(record)}")
+                        raise ValueError(f"a record holds no value, or null: {repr_of(record)}")
                     yield record
                 text = text[place:]
     except FileNotFoundError as error:

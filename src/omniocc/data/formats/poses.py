@@ -112,6 +112,6 @@ def shift(x_m: float, y_m: float, z_m: float) -> np.ndarray:
     return pose
 
 
-def moved(a_from_b: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform_points(a_from_b: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return points (P, 3) of b in a, in float64."""
     return points.astype(np.float64) @ a_from_b[:3, :3].T + a_from_b[:3, 3]

@@ -29,7 +29,7 @@ from omniocc.data.formats.kitti360 import (
     scan_file,
     velodyne_pose,
 )
-from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.poses import inverse, transform_points, shift
 from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
 from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
 from omniocc.data.labels.voxels import vote
@@ -242,7 +242,7 @@ class KITTI360Scene(DatasetScene):
                 points_m = self._scan(other)[0]
             kept = points_m[outside(points_m, *OWN_CAR_M)]
             here = ego_from_imu() @ inverse(poses[center]) @ poses[other] @ inverse(ego_from_imu())
-            found.append(moved(here, kept).astype(np.float32))
+            found.append(transform_points(here, kept).astype(np.float32))
         all_m = np.concatenate(found)
         return Points(all_m, np.ones(len(all_m), np.uint8))
 
@@ -272,7 +272,7 @@ class KITTI360Scene(DatasetScene):
         number = int(self.index.read(self.name).numbers[place])
         path = scan_file(self.root, self.name, number)
         points, _ = read_scan(path, 4)
-        return moved(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
+        return transform_points(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
 
 
 def centered(shape: Sequence[int], cell_m: float) -> Cuboid:

@@ -26,7 +26,7 @@ from omniocc.data.formats.files import (
 )
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.nuscenes import CAMERAS, KeyFrames, is_validation, read_key_frames
-from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.poses import inverse, transform_points, shift
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
@@ -238,7 +238,7 @@ class Occ3DScene(DatasetScene):
         with self.naming(frame):
             points_m, came_back = read_scan(self.root / str(self.frames.lidar[frame]), 5)
             labels = self._point_labels(frame, came_back)
-        points_m = moved(ego_from_lidar, points_m).astype(np.float32)
+        points_m = transform_points(ego_from_lidar, points_m).astype(np.float32)
         kept = outside(points_m, *OWN_CAR_M)
         return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
 
@@ -262,7 +262,7 @@ class Occ3DScene(DatasetScene):
         frames = self.frames
         world_from_lidar = frames.world_from_ego @ frames.ego_from_lidar
         ego_from_world = inverse(frames.world_from_ego[frame])
-        positions_m = torch.from_numpy(moved(ego_from_world, world_from_lidar[:, :3, 3]))
+        positions_m = torch.from_numpy(transform_points(ego_from_world, world_from_lidar[:, :3, 3]))
         chosen = eight_frames(positions_m)
         positions_m = positions_m[chosen] - torch.tensor(ORIGIN_M, dtype=torch.float64)
         return RayOrigins(positions_m.float(), chosen - frame)

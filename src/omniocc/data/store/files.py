@@ -106,7 +106,7 @@ class Files:
         return path
 
     def _asked(self, request: Callable[[], T], name: str) -> T:
-        return asked(request, self.where(name)) if is_url(self.folder) else request()
+        return request_with_retries(request, self.where(name)) if is_url(self.folder) else request()
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -134,7 +134,7 @@ def _login(url: str) -> dict[str, Any]:
     return {"headers": {"Authorization": f"Basic {login}"}}  # of requests: not sent on to another host
 
 
-def asked(request: Callable[[], T], url: str) -> T:
+def request_with_retries(request: Callable[[], T], url: str) -> T:
     """Return the answer of a store to a request; ask again for `RETRY_FOR_S` if it answered this process before.
 
     Args:
@@ -151,7 +151,7 @@ def asked(request: Callable[[], T], url: str) -> T:
             answer = request()
         except Exception as error:  # each kind of store has errors of its own
             left_s = begin_s + RETRY_FOR_S - time.monotonic()
-            if store not in _answered or lasts(error) or left_s <= 0:
+            if store not in _answered or is_permanent(error) or left_s <= 0:
                 raise
             if not told:
                 print(f"{url}: no answer ({named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
@@ -165,7 +165,7 @@ def asked(request: Callable[[], T], url: str) -> T:
             return answer
 
 
-def lasts(error: Exception) -> bool:
+def is_permanent(error: Exception) -> bool:
     """Return whether asking again cannot help: the file is missing, access is denied, the request is wrong."""
     if isinstance(error, ClientResponseError):
         return 400 <= error.status < 500 and error.status not in (408, 429)

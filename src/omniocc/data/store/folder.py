@@ -14,7 +14,7 @@ from omniocc.camera import Equirectangular
 from omniocc.camera.protocol import pair
 from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
-from omniocc.errors import DataError, shown
+from omniocc.errors import DataError, repr_of
 from omniocc.io import checked_name, parse_json, twice
 
 LEAST_FRAME_BYTES = 50
@@ -82,14 +82,14 @@ def check_meta(meta: Mapping[str, Any]) -> None:
         known = isinstance(facts, dict) and isinstance(facts.get("size"), int) and isinstance(facts.get("sha256"), str)
         checked_name("the name of a file", name)
         if not known:
-            raise ValueError(f"'files' has an impossible entry '{name}': {shown(facts)}")
+            raise ValueError(f"'files' has an impossible entry '{name}': {repr_of(facts)}")
     listed = min(files.get(INDEX, {"size": 0})["size"], LIMIT_BYTES)
     if not isinstance(frames, int) or isinstance(frames, bool) or not 0 <= frames <= listed // LEAST_FRAME_BYTES:
         most = f"its {INDEX} of {listed:,} bytes can list at most {listed // LEAST_FRAME_BYTES:,}"
-        raise ValueError(f"'frames' is {shown(frames)}, but {most}")
+        raise ValueError(f"'frames' is {repr_of(frames)}, but {most}")
     spec = meta["facts"].get("spec", {})
     if not isinstance(spec, dict) or not isinstance(spec.get("classes", {}), dict):
-        raise ValueError(f"'spec' holds no table of classes: {shown(spec)}")
+        raise ValueError(f"'spec' holds no table of classes: {repr_of(spec)}")
     if "panorama_edges_deg" in meta["facts"]:
         top_deg, bottom_deg = pair("'panorama_edges_deg'", meta["facts"]["panorama_edges_deg"])
         Equirectangular(1, 1, top_deg, bottom_deg)  # whose edges it checks

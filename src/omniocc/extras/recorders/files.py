@@ -15,7 +15,7 @@ from omniocc.data.formats.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cl
 from omniocc.data.formats.dataset_scene import outside
 from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera
 from omniocc.data.formats.pose_table import TimeUnit, read_table
-from omniocc.data.formats.poses import inverse, moved
+from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.labels import PointClasses, classes_of, read_point_classes
@@ -193,7 +193,7 @@ def ego_points(
 ) -> Points:
     """Return the points of a scan in the ego frame with their classes, without those in the box of the own car."""
     labels = classes_of(cloud.labels, len(cloud.points_m), classes, where)
-    points_m = moved(ego_from_lidar, cloud.points_m).astype(np.float32)
+    points_m = transform_points(ego_from_lidar, cloud.points_m).astype(np.float32)
     kept = np.ones(len(points_m), bool) if own_car_m is None else outside(points_m, *own_car_m)
     return Points(points_m[kept], labels[kept])
 

@@ -18,7 +18,7 @@ from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
 from omniocc.data.formats.clouds import FAR_M, distances_m, out_of_reach
 from omniocc.data.formats.files import check_aspect, scaled_to
-from omniocc.data.formats.poses import moved
+from omniocc.data.formats.poses import transform_points
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.source import SPLITS, Points, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
@@ -290,7 +290,7 @@ def frame_points(log: Log, plan: Plan, number: int) -> Points | None:
     if plan.ego_from_scan is None:
         return points
     # the car has moved since the scan, or had not yet
-    return points._replace(points_m=moved(plan.ego_from_scan[number], points.points_m).astype(np.float32))
+    return points._replace(points_m=transform_points(plan.ego_from_scan[number], points.points_m).astype(np.float32))
 
 
 def fitted(

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
-from omniocc.geometry import Grid, cells_of_middles
+from omniocc.geometry import Grid, center_cell_indices
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Pointwise
 from omniocc.model.ops.voxel_samples import sample_at_voxels
@@ -37,7 +37,7 @@ class BiGrid(nn.Module):
             nn.ModuleList(nn.Linear(in_channels, channels, bias=False) for _ in levels) for _ in self.grids
         )
         self.mix = Pointwise(channels * len(self.grids), channels)
-        index = torch.empty(0, dtype=torch.int64) if second is None else cells_of_middles(second, geometry).long()
+        index = torch.empty(0, dtype=torch.int64) if second is None else center_cell_indices(second, geometry).long()
         self.register_buffer("index", index, persistent=False)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
@@ -46,7 +46,7 @@ class BiGrid(nn.Module):
             self._sampled(features, grid, maps, rigs)  # type: ignore[arg-type]
             for grid, maps in zip(self.grids, self.maps, strict=True)
         )
-        volumes = [own, *(brought(volume, self.index, own.shape[2:]) for volume in others)]
+        volumes = [own, *(resample_features(volume, self.index, own.shape[2:]) for volume in others)]
         return self.mix(torch.cat(volumes, dim=1))
 
     def _sampled(
@@ -60,7 +60,7 @@ class BiGrid(nn.Module):
         return sum(levels[1:], levels[0])
 
 
-def brought(
+def resample_features(
     volume: Float[Tensor, "B D U V W"], index: Int64[Tensor, " cells"], shape: torch.Size
 ) -> Float[Tensor, "B D X Y Z"]:
     """Return the features of the cells of another grid that `index` names; the number after its last is zero."""

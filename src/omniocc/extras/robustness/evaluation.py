@@ -19,7 +19,7 @@ from omniocc.data.module import worker_options
 from omniocc.data.source import MadeScenes, SceneFrames
 from omniocc.errors import UserError
 from omniocc.evaluate import system_of
-from omniocc.extras.robustness.disturb.disturbed_scene import disturbed
+from omniocc.extras.robustness.disturb.disturbed_scene import disturb_scene
 from omniocc.extras.robustness.parts import NO_UNSEEN, VERSION, Part, chosen, parts_of
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
@@ -209,7 +209,7 @@ class RobustnessTest:
         """
         started = time.monotonic()
         recorded = self._scenes(source)
-        scenes = [disturbed(scene, part.disturbance, part.name, self.seed) for scene in recorded]
+        scenes = [disturb_scene(scene, part.disturbance, part.name, self.seed) for scene in recorded]
         data, spec = self.data, self.data.spec
         labels = source.labels(data.geometry, data.unknown)
         needs = Needs(pixel_labels=False)

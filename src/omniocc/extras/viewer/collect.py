@@ -12,7 +12,7 @@ from omniocc.geometry import Cylinder, Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.sequence import frame_name
 from omniocc.predict.options import choose_device
-from omniocc.predict.predictor import Prediction, Predictor
+from omniocc.predict.predictor import FramePrediction, Predictor
 from omniocc.predict.trained import load
 from omniocc.progress import Progress
 from omniocc.train.scores import Scores
@@ -89,7 +89,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
 
 
 def _prediction(
-    model: TrainedModel, answer: tuple[Prediction, PixelLabels], truth: Batch | None, scores: Scores
+    model: TrainedModel, answer: tuple[FramePrediction, PixelLabels], truth: Batch | None, scores: Scores
 ) -> FramePrediction:
     (labels, candidates, range_m), pixels = answer
     panorama = None if range_m is None else model.predictor.panorama

@@ -24,7 +24,7 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
 
         watch(Path(str(target.watch)), target.port)
         return
-    path = written(options, target)
+    path = write_page(options, target)
     if path is not None and target.wandb:
         from omniocc.runs.wandb.artifact import log_file
 
@@ -33,7 +33,7 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
         print(f"{path} is kept in {folder}/wandb; upload it by: make wandb-sync")
 
 
-def written(options: ViewOptions, target: TargetOptions) -> Path | None:
+def write_page(options: ViewOptions, target: TargetOptions) -> Path | None:
     """Show the frames and return the file that they were written to; None for a viewer."""
     if target.page:
         return written_page(options, target)
@@ -71,7 +71,7 @@ def opened(options: ViewOptions) -> "Shown":
 
 
 @contextmanager
-def shown(viewer: str | None, title: str, stream: Literal["RangeStream", "VoxelStream"]) -> Iterator[Any]:
+def open_viewer(viewer: str | None, title: str, stream: Literal["RangeStream", "VoxelStream"]) -> Iterator[Any]:
     """Yield what streams predicted frames into a Rerun viewer; None without one.
 
     Raises:

@@ -17,7 +17,7 @@ from omniocc.extras.viewer.options import ViewOptions
 from omniocc.extras.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes
 from omniocc.geometry import Grid
 from omniocc.metric import sparseocc_directions
-from omniocc.predict.input.images import Frame, find_frames, read_frame
+from omniocc.predict.input.images import FrameFiles, find_frames, read_frame
 from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
@@ -80,7 +80,7 @@ def recorded_of(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Sce
     return {scene.name: scene for scene in map(SceneReader, folders)}
 
 
-def own_frames(facts: Mapping[str, Any], rig: Rig | None) -> dict[str, Frame]:
+def own_frames(facts: Mapping[str, Any], rig: Rig | None) -> dict[str, FrameFiles]:
     """Return the image files of a user's own frames by name; none if they are not there any more."""
     images = facts.get("images")
     if rig is None or not isinstance(images, str) or not Path(images).is_dir():
@@ -96,7 +96,7 @@ def _frames(
     recorded: Mapping[str, SceneReader],
     unknown: Unknown,
     rig: Rig | None,
-    own: Mapping[str, Frame],
+    own: Mapping[str, FrameFiles],
 ) -> Iterator[ShownFrame]:
     model, scores = folder.resolve().name, lru_cache(maxsize=1)(scene_scores)
     for number, (scene, name) in enumerate(frames):

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.hints import HINTS, rig_hints
-from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
+from omniocc.model.ops.depth.layers import PanoramaConv, FeatureNet, UNet2d
 from omniocc.model.ops.depth.projection import (
     Projection,
     Sampler,
@@ -108,10 +108,10 @@ class OmniMVS(SphereNet):
         self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
         self.skipped = compared + len(CONTEXT_SPHERES) * context_channels
         self.fine = nn.Sequential(
-            Conv(self.skipped + fine_channels, fine_channels, 3, wrap=True, bias=False),
+            PanoramaConv(self.skipped + fine_channels, fine_channels, 3, wrap=True, bias=False),
             group_norm(fine_channels),
             nn.ReLU(),
-            Conv(fine_channels, spheres.count + 1, 3, wrap=True),
+            PanoramaConv(fine_channels, spheres.count + 1, 3, wrap=True),
         )
         self.trust = nn.Parameter(torch.full((), FIRST_TRUST))
 

@@ -19,7 +19,7 @@ from omniocc.errors import DataError, UserError
 from omniocc.images import Depth, content_of
 
 
-class Frame(NamedTuple):
+class FrameFiles(NamedTuple):
     """One frame of a sequence.
 
     Attributes:
@@ -35,7 +35,7 @@ class Frame(NamedTuple):
 
 def find_frames(
     images: str | Sequence[str], rig: Rig, excluded: Sequence[str] = (), image_bits: int | None = None
-) -> list[Frame]:
+) -> list[FrameFiles]:
     """Return the frames in the order of time, with the files of every camera of the rig.
 
     Args:
@@ -53,7 +53,7 @@ def find_frames(
     return [frame._replace(depth=depth) for frame in _found(images, rig, excluded)]
 
 
-def _found(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[Frame]:
+def _found(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
     if not isinstance(images, str):
         return [_listed([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
@@ -63,8 +63,8 @@ def _found(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> li
     frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_order)
     of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
     if of_cameras or not frames:
-        return [Frame("", _named(folder, rig, excluded))]
-    return [Frame(frame.name, _named(frame, rig, excluded)) for frame in frames]
+        return [FrameFiles("", _named(folder, rig, excluded))]
+    return [FrameFiles(frame.name, _named(frame, rig, excluded)) for frame in frames]
 
 
 def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
@@ -86,7 +86,7 @@ def _natural_order(folder: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", folder.name)]
 
 
-def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> Frame:
+def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
     if len(paths) != len(rig.names):
         names = ", ".join(rig.names)
         raise UserError(f"{len(paths)} images for {len(rig.names)} cameras; give one each, in this order: {names}")
@@ -95,7 +95,7 @@ def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> Frame:
     for path, name in zip(paths, rig.names, strict=True):
         if not path.is_file() and name not in excluded:
             raise UserError(f"there is no image {path} (camera '{name}')")
-    return Frame("", tuple(None if name in excluded else path for path, name in zip(paths, rig.names, strict=True)))
+    return FrameFiles("", tuple(None if name in excluded else path for path, name in zip(paths, rig.names, strict=True)))
 
 
 def _named(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:
@@ -128,7 +128,7 @@ def _image_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES)
 
 
-def remarks(frames: Sequence[Frame], rig: Rig) -> Iterator[str]:
+def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
     """Yield lines about images listed by other names, images that are not used, and lens models that do not fit."""
     files = dict(zip(rig.names, frames[0].files, strict=True))
     if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
@@ -138,7 +138,7 @@ def remarks(frames: Sequence[Frame], rig: Rig) -> Iterator[str]:
     yield from lenses_that_do_not_fit(rig)
 
 
-def ignored_images(frames: Sequence[Frame], rig: Rig) -> str:
+def ignored_images(frames: Sequence[FrameFiles], rig: Rig) -> str:
     """Return a line about images in the folder of the first frame that belong to no camera of the rig, or nothing."""
     files = {file.stem: file for file in frames[0].files if file is not None}
     if not set(files) <= set(rig.names):  # listed files, whose names say nothing
@@ -148,7 +148,7 @@ def ignored_images(frames: Sequence[Frame], rig: Rig) -> str:
     return f"{folder}: not used, no camera of the rig has this name: {', '.join(others[:8])}" if others else ""
 
 
-def read_frame(frame: Frame, rig: Rig) -> list[np.ndarray]:
+def read_frame(frame: FrameFiles, rig: Rig) -> list[np.ndarray]:
     """Return (H, W, 3) uint8 RGB of every camera, at the size of its file.
 
     Cameras that are left out give a black image at the size of the calibration.

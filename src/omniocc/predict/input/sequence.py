@@ -20,7 +20,7 @@ from omniocc.data.store.codec import POINTS
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.predict.input.images import Frame, check_excluded, read_frame
+from omniocc.predict.input.images import FrameFiles, check_excluded, read_frame
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ImageSequence:
     """
 
     rig: Rig
-    frames: tuple[Frame, ...]
+    frames: tuple[FrameFiles, ...]
     world_from_ego: Float64[Tensor, "F 4 4"] | None
     origin_z_m: float = 0.0
     name: str = ""

@@ -210,7 +210,7 @@ def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
     return row if noise.has(row) else next(name for name, runs in rows.items() if runs is rows[row] and noise.has(name))
 
 
-def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> dict[Name, Judged]:
+def verdicts_of(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> dict[Name, Judged]:
     """Return all claims by both metrics with their adjusted p-values; `paired` as in `claims_of`.
 
     The tables of the documentation are a family together, each other table is one of its own: a table that a user adds

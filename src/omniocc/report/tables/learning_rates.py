@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import given
+from omniocc.report.selection import given_values
 from omniocc.report.tables.formats import csv_text
 from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
 
@@ -33,7 +33,7 @@ def tried_rates(runs: Sequence[FinishedRun]) -> list[Tried]:
     """
     groups: dict[str, dict[float, dict[Any, FinishedRun]]] = {}
     for run in sorted(runs, key=lambda run: run.name):
-        settings = given(run.config)
+        settings = given_values(run.config)
         rate = settings.get(KEYS[0])
         if rate is not None and SCORE in run.metrics:
             rest = {key: value for key, value in settings.items() if key not in KEYS}

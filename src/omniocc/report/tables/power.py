@@ -84,7 +84,7 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | No
     return SeedStd("the runs here", parts, math.sqrt(sum(std * std for std in stds) / len(stds)))
 
 
-def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
+def planned_comparisons(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
     """Return the claims of all tables in the metric of their tables, each once, whether its rows have run or not."""
     return [_wanted(*claim, rows) for claim in planned_claims(tables, VOXEL_RAYIOU)]
 
@@ -146,7 +146,7 @@ def power_csv(tables: Sequence[PaperTable], rows: Rows, given: Sequence[SeedStd]
     Besides the `given` ones of RayIoU there are those of the runs, of each claim's own metric. A claim without a
     printed gap needs none; it counts in the family.
     """
-    claims, parts = wanted(tables, rows), _number_of_parts(tables)
+    claims, parts = planned_comparisons(tables, rows), _number_of_parts(tables)
     lines = []
     for claim in claims:
         own = measured(tables, rows, claim.key)

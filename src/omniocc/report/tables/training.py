@@ -63,7 +63,7 @@ class Compared(NamedTuple):
 def changes_part(sweep: Sweep) -> list[Part]:
     """Return the table of claims of a sweep and of its `longer` ones; none without a claim decided in two of them."""
     sweeps = by_steps(sweep)
-    claims = list(compared(sweeps))
+    claims = list(compare_training(sweeps))
     return [Part("training", TITLE, CHANGES, change_cells(claims, sweeps))] if claims else []
 
 
@@ -110,7 +110,7 @@ def _subject(table: PaperTable, better: PaperRow, other: PaperRow) -> tuple[str,
     return (*(row.run.partition("@")[0].removesuffix("_budget") for row in (better, other)), table.order_by)
 
 
-def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
+def compare_training(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     """Yield the claims that were decided at two numbers of steps or more, each once."""
     for judge in JUDGES:
         claims = planned_claims(_once(next(iter(sweeps.values())).tables), judge)

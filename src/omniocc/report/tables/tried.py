@@ -6,7 +6,7 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared, counted_otherwise, given, preference
+from omniocc.report.selection import comparable_config, counted_otherwise, given_values, preference
 from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.formats import csv_text
 from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
@@ -43,7 +43,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     groups: dict[str, dict[Any, FinishedRun]] = {}
     # of equal runs of a seed, that of the reference counts, and of its own that of `preference`
     for run in sorted(runs, key=lambda run: (run.row == reference, *preference(run))):
-        key = json.dumps([given(run.config), run.facts.get("data")], sort_keys=True)
+        key = json.dumps([given_values(run.config), run.facts.get("data")], sort_keys=True)
         groups.setdefault(key, {})[run.facts.get("seed")] = run
     own = [run for members in groups.values() for run in members.values() if run.row == reference]
     if not own:
@@ -90,7 +90,7 @@ def _settings(config: Mapping[str, Any], swapped: Collection[str]) -> dict[str, 
 
     A grid or depth network stands in every part that uses it.
     """
-    of_parts = {key: value for key, value in compared(config).items() if not key.startswith("preset.")}
+    of_parts = {key: value for key, value in comparable_config(config).items() if not key.startswith("preset.")}
     return {key: value for key, value in of_parts.items() if not set(swapped) & set(key.split("."))}
 
 

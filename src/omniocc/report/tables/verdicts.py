@@ -13,7 +13,7 @@ from omniocc.report.tables.claims import (
     Name,
     Rows,
     gap_by_seed,
-    judged,
+    verdicts_of,
     metric_of,
     name_of,
     p_cell,
@@ -87,7 +87,7 @@ HEAD += ["Paper's gap: p"]
 
 def claim_lines(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[ClaimLine]:
     """Return every claim of all tables in each metric, by verdict."""
-    paired, lines = judged(tables, rows, paired=True), []
+    paired, lines = verdicts_of(tables, rows, paired=True), []
     for judge in JUDGES:
         for table, better, other in planned_claims(tables, judge):
             key = metric_of(table, judge)

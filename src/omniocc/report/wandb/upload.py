@@ -19,7 +19,7 @@ MARK = ".synced"
 """Suffix of the empty file that `wandb sync` creates beside uploaded files."""
 
 
-def waiting(runs: Path) -> list[Path]:
+def pending_runs(runs: Path) -> list[Path]:
     """Return files of offline runs that have not been uploaded, without runs in progress."""
     files = sorted(runs.glob(f"**/{OFFLINE}"))
     left = [path for path in files if not _is_marked(path)]
@@ -87,7 +87,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")
     options = parser.parse_args(arguments)
     log_report(options.runs / "report", options.project)
-    files = [path for path in waiting(options.runs) if whole_bytes(path.read_bytes())]  # killed at once: nothing in it
+    files = [path for path in pending_runs(options.runs) if whole_bytes(path.read_bytes())]  # killed at once: nothing in it
     if not files:
         print(f"{options.runs}: nothing waits for upload")
         return

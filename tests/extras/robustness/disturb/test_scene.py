@@ -10,7 +10,7 @@ from omniocc.camera.masks import usable_pixels
 from omniocc.data.source import SceneFrames
 from omniocc.extras.robustness.disturb import disturbance as kinds
 from omniocc.extras.robustness.disturb.disturbance import Disturbance
-from omniocc.extras.robustness.disturb.disturbed_scene import disturbed
+from omniocc.extras.robustness.disturb.disturbed_scene import disturb_scene
 
 NOISE = Disturbance(images=partial(kinds.noise, percent=5), each_frame=True)
 DROPS = Disturbance(images=partial(kinds.drops_on_one_lens, percent=30))
@@ -26,7 +26,7 @@ def scene():
 
 
 def test_without_a_disturbance_everything_is_as_recorded(scene):
-    same = disturbed(scene, Disturbance(), "undisturbed", 0)
+    same = disturb_scene(scene, Disturbance(), "undisturbed", 0)
     assert isinstance(same, SceneFrames)
     assert (same.name, len(same)) == ("street", FRAMES)
     assert tuple(same.rigs) == tuple(scene.rigs)
@@ -38,7 +38,7 @@ def test_without_a_disturbance_everything_is_as_recorded(scene):
 @pytest.mark.parametrize("disturbance", [NOISE, DROPS, DIRT, TURN, TWO])
 def test_frames_depend_on_scene_name_and_seed_alone(scene, disturbance):
     def content(scene, name="part", seed=0, read_before=()):
-        frames = pickle.loads(pickle.dumps(disturbed(scene, disturbance, name, seed)))
+        frames = pickle.loads(pickle.dumps(disturb_scene(scene, disturbance, name, seed)))
         for frame in read_before:
             frames.images(frame)
         return [*frames.images(1), *(rig.fingerprint for rig in frames.rigs)]
@@ -54,7 +54,7 @@ def test_frames_depend_on_scene_name_and_seed_alone(scene, disturbance):
 
 
 def test_a_calibration_is_as_wrong_in_all_frames_of_a_scene(scene):
-    wrong = disturbed(scene, TURN, "turned", 0)
+    wrong = disturb_scene(scene, TURN, "turned", 0)
     errors = [
         torch.linalg.inv(true.ego_from_camera[:, :3, :3]) @ other.ego_from_camera[:, :3, :3]
         for true, other in zip(scene.rigs, wrong.rigs, strict=True)
@@ -65,14 +65,14 @@ def test_a_calibration_is_as_wrong_in_all_frames_of_a_scene(scene):
 
 def test_what_sits_on_a_lens_stays_and_noise_does_not(scene):
     for disturbance in (DROPS, DIRT):
-        frames = disturbed(scene, disturbance, "lens", 0)
+        frames = disturb_scene(scene, disturbance, "lens", 0)
         changed = [
             [int((new != old).any(-1).sum()) for new, old in zip(frames.images(k), scene.images(k), strict=True)]
             for k in range(2)
         ]
         assert sum(count > 0 for count in changed[0]) == 1  # one lens
         assert np.argmax(changed[0]) == np.argmax(changed[1])
-    noisy = disturbed(scene, NOISE, "noise", 0)
+    noisy = disturb_scene(scene, NOISE, "noise", 0)
     noise = [noisy.images(k)[0].astype(int) - scene.images(k)[0] for k in range(2)]
     unclipped = [(scene.images(k)[0] > 60) & (scene.images(k)[0] < 190) for k in range(2)]
     both = unclipped[0] & unclipped[1]
@@ -80,30 +80,30 @@ def test_what_sits_on_a_lens_stays_and_noise_does_not(scene):
 
 
 def test_dropped_cameras_are_black_and_masked(scene):
-    frames = disturbed(scene, TWO, "two", 0)
+    frames = disturb_scene(scene, TWO, "two", 0)
     for frame in range(FRAMES):
         dark = [not image.any() for image in frames.images(frame)]
         masked = [not mask.any() for mask in usable_pixels(frames.rigs[frame])]
         assert dark == masked
         assert sum(dark) == 2
     one = Disturbance(partial(kinds.drop_random_cameras, count=9))
-    assert sum(image.any() for image in disturbed(scene, one, "nine", 0).images(0)) == 1
+    assert sum(image.any() for image in disturb_scene(scene, one, "nine", 0).images(0)) == 1
 
 
 def test_focal_lengths_are_too_long_and_too_short(scene):
-    wrong = disturbed(scene, Disturbance(partial(kinds.scale_focal_lengths, percent=3)), "focal", 0)
+    wrong = disturb_scene(scene, Disturbance(partial(kinds.scale_focal_lengths, percent=3)), "focal", 0)
     pairs = zip(scene.rigs[0].cameras, wrong.rigs[0].cameras, strict=True)
     ratios = [other.focal_px[0] / true.focal_px[0] for true, other in pairs]
     assert all(abs(ratio - 1) == pytest.approx(0.03) for ratio in ratios)
 
 
 def test_cameras_are_moved_by_this_distance(scene):
-    wrong = disturbed(scene, Disturbance(partial(kinds.move_cameras, distance_m=0.1)), "moved", 0)
+    wrong = disturb_scene(scene, Disturbance(partial(kinds.move_cameras, distance_m=0.1)), "moved", 0)
     shift = wrong.rigs[1].ego_from_camera[:, :3, 3] - scene.rigs[1].ego_from_camera[:, :3, 3]
     torch.testing.assert_close(shift.norm(dim=1), torch.full((4,), 0.1, dtype=torch.float64))
 
 
 def test_the_recorded_scene_is_behind_the_disturbed_one(scene):
-    frames = disturbed(scene, TWO, "two", 0)
+    frames = disturb_scene(scene, TWO, "two", 0)
     assert frames.undisturbed is scene
     assert not hasattr(scene, "undisturbed")

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from omniocc.metric import Calibration
+from omniocc.metric import CalibrationError
 from omniocc.model.ops.depth.confidence import Confidence, confidence_features, fit_logistic
 
 
@@ -30,7 +30,7 @@ def test_before_the_fit_it_is_the_probability_and_after_it_calibrated():
     errors = []
     for _ in range(3):
         said = confidence(probability, range_m)
-        metric = Calibration()
+        metric = CalibrationError()
         metric.update(said, right)
         errors.append(metric.compute()["ece"].item())
         confidence.fit(said, range_m, right)

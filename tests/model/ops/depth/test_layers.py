@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from omniocc.model.ops.depth.layers import Conv, UNet2d, window_argmax
+from omniocc.model.ops.depth.layers import PanoramaConv, UNet2d, window_argmax
 
 
 @pytest.mark.parametrize("roll", [4, 12])
@@ -16,12 +16,12 @@ def test_rolling_the_panorama_rolls_the_answer(roll):
 
 
 def test_convolution_wraps_around_the_seam():
-    conv = Conv(1, 1, 3, wrap=True, bias=False)
+    conv = PanoramaConv(1, 1, 3, wrap=True, bias=False)
     torch.nn.init.ones_(conv.weight)
     maps = torch.zeros(1, 1, 3, 6)
     maps[0, 0, 1, 0] = 1
     assert conv(maps)[0, 0, 1].tolist() == [1, 1, 0, 0, 0, 1]
-    flat = Conv(1, 1, 3, wrap=False, bias=False)
+    flat = PanoramaConv(1, 1, 3, wrap=False, bias=False)
     torch.nn.init.ones_(flat.weight)
     assert flat(maps)[0, 0, 1].tolist() == [1, 1, 0, 0, 0, 0]
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import UInt8
 
-from omniocc.data.formats.poses import inverse, moved
+from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
 from omniocc.extras.recorders import Finding
 from omniocc.extras.recorders.carla.decode import inverse_depth_of, read_bgra, tags_in
@@ -70,7 +70,7 @@ def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray
         name = cube.face_name(face, "depth")
         side, inner = cube.lookup.side, cube.lookup.inner
         optical = right_handed(np.array(frame.matrices[name])) @ SENSOR_FROM_OPTICAL
-        points = moved(inverse(optical) @ world_from_lidar, scan.points_m)
+        points = transform_points(inverse(optical) @ world_from_lidar, scan.points_m)
         ahead = points[:, 2] > 0.5
         pixels = np.rint(points[ahead, :2] / points[ahead, 2:] * inner / 2 + (side - 1) / 2).astype(int)
         inside = ((pixels >= 0) & (pixels < side)).all(axis=1)
@@ -118,7 +118,7 @@ def check_boxes(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:
     for world_from_lidar, scan in scans_of(frame, classes):
         for sent in frame.actors:
             actor = actor_of(sent)
-            points = moved(inverse(actor.world_from_actor) @ world_from_lidar, scan.points_m[scan.actors == actor.id])
+            points = transform_points(inverse(actor.world_from_actor) @ world_from_lidar, scan.points_m[scan.actors == actor.id])
             half = np.array(actor.size_m) / 2
             inside += int((np.abs(points - (0, 0, half[2])) < half + 0.2).all(axis=1).sum())
             count += len(points)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
-from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.poses import inverse, transform_points, shift
 from omniocc.extras.carla_tags import ROAD, ROADLINE
 from omniocc.extras.recorders.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.extras.recorders.carla.sensors import Cube
@@ -88,7 +88,7 @@ class OwnBox(NamedTuple):
 def own_box(raw: RawFrame, ego_from_vehicle: Float64[np.ndarray, "4 4"]) -> OwnBox:
     """Return the box of the own car, which stands level in the ego frame."""
     center, extent = (np.array(part, np.float64) for part in raw.ego_box)
-    middle = moved(ego_from_vehicle, right_handed_points(center[None]))[0]
+    middle = transform_points(ego_from_vehicle, right_handed_points(center[None]))[0]
     return OwnBox(middle - extent, middle + extent)
 
 
@@ -200,7 +200,7 @@ def points_of(
     parts: list[np.ndarray] = [np.empty((0, 3), np.float32)]
     labels: list[np.ndarray] = [np.empty(0, np.uint8)]
     for world_from_lidar, scan in scans_of(raw, classes):
-        points = moved(inverse(world_from_ego) @ world_from_lidar, scan.points_m).astype(np.float32)
+        points = transform_points(inverse(world_from_ego) @ world_from_lidar, scan.points_m).astype(np.float32)
         keep = within_reach(points) & (scan.labels != UNKNOWN) & (scan.labels != FREE)
         parts.append(points[keep])
         labels.append(scan.labels[keep])

@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras
-from omniocc.camera.miscalibrated import moved, turned, with_focal_factors
+from omniocc.camera.miscalibrated import displaced_rig, turned, with_focal_factors
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.data.augment.degrade import Image, noisy
 from omniocc.extras.robustness.disturb.lens import behind_dirt, draw_dirt, draw_drops, through_drops
@@ -39,7 +39,7 @@ def turn_cameras(rig: Rig, rng: np.random.Generator, angle_deg: float) -> Rig:
 
 def move_cameras(rig: Rig, rng: np.random.Generator, distance_m: float) -> Rig:
     """Return the rig with every camera moved by a distance in a random direction of its own."""
-    return moved(rig, _directions(rig, rng), distance_m)
+    return displaced_rig(rig, _directions(rig, rng), distance_m)
 
 
 def scale_focal_lengths(rig: Rig, rng: np.random.Generator, percent: float) -> Rig:

@@ -15,7 +15,7 @@ from omniocc.data.source import SceneFrames
 from omniocc.extras.robustness.disturb.disturbance import Disturbance
 
 
-def disturbed(scene: SceneFrames, disturbance: Disturbance, name: str, seed: int) -> SceneFrames:
+def disturb_scene(scene: SceneFrames, disturbance: Disturbance, name: str, seed: int) -> SceneFrames:
     """Return a scene with disturbed frames, which depend on the scene's name, the disturbance's name and the seed."""
     return cast(SceneFrames, DisturbedScene(scene, disturbance, name, seed))
 

@@ -19,10 +19,10 @@ from omniocc.extras.viewer.scenes import rig_at_sizes, time_of
 from omniocc.extras.viewer.timeline.log import Timeline
 from omniocc.extras.viewer.timeline.sinks import to_viewer
 from omniocc.metric import sparseocc_directions
-from omniocc.predict.input.images import Frame
+from omniocc.predict.input.images import FrameFiles
 from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
 from omniocc.predict.job import Job
-from omniocc.predict.predictor import Prediction
+from omniocc.predict.predictor import FramePrediction
 
 __all__ = ["RangeStream", "VoxelStream", "to_viewer"]
 MODEL = "prediction"
@@ -43,7 +43,7 @@ class VoxelStream:
         sequence: FrameSequence,
         frame: int,
         images: Sequence[np.ndarray],
-        prediction: Prediction,
+        prediction: FramePrediction,
         truth: Truth | None,
     ) -> None:
         """Log one frame."""
@@ -79,7 +79,7 @@ class RangeStream:
 
     def __call__(
         self,
-        frame: Frame,
+        frame: FrameFiles,
         images: Sequence[np.ndarray],
         rig: Rig,
         range_m: Float32[Tensor, "h w"],

@@ -14,7 +14,7 @@ STRIDE = 2
 """Of the features."""
 
 
-class Conv(nn.Conv2d):
+class PanoramaConv(nn.Conv2d):
     """Convolve in 2D, keeping the size (odd kernels, stride 1), and wrapping around along the width if `wrap`."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, wrap: bool, bias: bool = True):
@@ -72,7 +72,7 @@ class UNet2d(nn.Module):
 
 
 def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
-    return nn.Sequential(*(Residual(Conv(channels, channels, 3, wrap, bias=False)) for _ in range(count)))
+    return nn.Sequential(*(Residual(PanoramaConv(channels, channels, 3, wrap, bias=False)) for _ in range(count)))
 
 
 class FeatureNet(nn.Module):
