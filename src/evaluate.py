@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Score what the words name; results are written beside the checkpoints."""
     parser = parser_of()
     options = vars(parser.parse_intermixed_args(arguments))
-    asked = Evaluation.of(options.pop("words"), **options)
+    asked = Evaluation.from_words(options.pop("words"), **options)
     if asked.conflict is not None:
         parser.error(asked.conflict)
     quiet_libraries()

@@ -12,15 +12,15 @@ from omniocc.runs.weights import SHIPPED
 def test_words_are_checkpoints_settings_and_what_is_asked_for(tmp_path):
     other = tmp_path / "epoch=1-step=2.ckpt"
     other.touch()
-    words = Evaluation.of(
+    words = Evaluation.from_words(
         ["tiny", "data.batch_size=1", str(other), "robustness=[view, noise_5_percent]", "packages=[a,b]"]
     )
     assert words.checkpoints == [SHIPPED / "tiny.safetensors", other]
     assert words.overrides == ["data.batch_size=1", "packages=[a,b]"]
     assert words.robustness == ["view", "noise_5_percent"]
     assert words.predictions is None
-    assert Evaluation.of(["robustness=all", "tiny"]).robustness == ["all"]
-    assert Evaluation.of(["predictions=2024", "data=carlasc"]).predictions == Path("2024")
+    assert Evaluation.from_words(["robustness=all", "tiny"]).robustness == ["all"]
+    assert Evaluation.from_words(["predictions=2024", "data=carlasc"]).predictions == Path("2024")
 
 
 def test_help_lists_the_kinds_of_disturbances():

@@ -170,7 +170,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     ):
         assert key in metrics
 
-    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows_m=[0,0,0]"]
+    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.dilation_m=[0,0,0]"]
     fewer = run_script("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network

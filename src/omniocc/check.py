@@ -40,7 +40,7 @@ def draw(data: OccupancyData, folder: Path) -> None:
     """Draw the first frame of every split: ranges on the images, voxels; name the one that cannot be read."""
     benchmark, classes = data.spec.benchmark, data.spec.classes
     grid = data.geometry if benchmark is None else benchmark.grid
-    labels = data.source.labels(grid, "free")
+    labels = data.source.labels(grid, "none")
     for split in SPLITS:
         for scene in data.source.scenes(split)[:1]:
             known = has_labels(scene)

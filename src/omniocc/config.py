@@ -121,7 +121,7 @@ ROOT: dict[str, Any] = {
     "checkpoint_every_n_steps": int,
     "test_images": int,
     "ema_decay": float | None,
-    "rate_factors": dict[str, float] | None,
+    "lr_multipliers": dict[str, float] | None,
     "packages": list[str],
     "plan": bool,
 }

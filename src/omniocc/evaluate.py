@@ -48,7 +48,7 @@ class Evaluation:
     seed: int = 0
 
     @classmethod
-    def of(cls, words: Sequence[str], **options: Any) -> "Evaluation":
+    def from_words(cls, words: Sequence[str], **options: Any) -> "Evaluation":
         """Return the words of the command line by their meaning; what is a file or has no `=` is a checkpoint."""
         files = [word for word in words if "=" not in word or Path(word).is_file()]
         settings = {key: value for key, _, value in (word.partition("=") for word in words if word not in files)}
@@ -127,7 +127,7 @@ def each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> None:
 def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
     """Score a checkpoint on the test scenes; write figures, table and images."""
     task, data = trained.task, trained.data
-    data.cast_from(options.origins)
+    data.set_ray_origins(options.origins)
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.spec.classes)
     trainer = Trainer(

@@ -10,7 +10,7 @@ from omniocc import seeding
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.files import holds, is_url
 from omniocc.data.store.meta import RENDERED_REACH_M, SOFTWARE, append_frame, finish_scene, recorded_spec
 from omniocc.data.store.reader import SceneReader
@@ -21,7 +21,7 @@ from omniocc.geometry import Grid
 from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
-from omniworld.drawn import RANDOM, VERSION, perturb_rig, draw_rig
+from omniworld.drawn import RANDOM, VERSION, draw_rig, perturb_rig
 from omniworld.fingerprint import variations_code, world_code
 from omniworld.render.own_car import mask_ego_car, road_of
 from omniworld.render.weather import WEATHERS, Weather, draw_weather
@@ -317,11 +317,11 @@ class VirtualWorld:
         with Progress(title, total, finished=finished) as progress:
             make_scenes(partial(record_scene, self), folders, self.workers, progress)
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
+    def labels(self, geometry: Grid, ignore: Ignore) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
         classes = self.spec.classes.num_classes
         return VoxelCache(
-            self.folder, geometry, unknown, self.fingerprint, classes, self.workers, reach_m=RENDERED_REACH_M
+            self.folder, geometry, ignore, self.fingerprint, classes, self.workers, reach_m=RENDERED_REACH_M
         )
 
     def scenes(self, split: Split) -> list[SceneReader]:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
-from rayiou.directions import RayOrigins, sparseocc_origins, sparseocc_directions, trajectory_origins
+from rayiou.directions import RayOrigins, sparseocc_directions, sparseocc_origins, trajectory_origins
 from rayiou.grid import Grid
 from rayiou.raycast.fans import RayFans, RayScan
 from rayiou.raycast.table import RayTable, ray_table
 from rayiou.raycast.trace import Hits, RayPaths
-from rayiou.resample import center_cell_indices, sample_nearest, resample
+from rayiou.resample import center_cell_indices, resample, sample_nearest
 from rayiou.vote import downsample, majority_vote
 
 if TYPE_CHECKING:
@@ -33,26 +33,26 @@ METRICS = {
 __all__ = [
     "Cuboid",
     "Cylinder",
-    "Fans",
     "Grid",
     "Hits",
-    "Paths",
+    "RayFans",
     "RayIoU",
     "RayOrigins",
+    "RayPaths",
+    "RayScan",
     "RayTable",
     "RayTruth",
-    "Scan",
     "VoxelIoU",
-    "cells_of_middles",
+    "center_cell_indices",
     "downsample",
-    "eight_origins",
-    "look_up",
-    "majority",
+    "majority_vote",
     "ray_hits",
     "ray_iou",
     "ray_table",
     "resample",
+    "sample_nearest",
     "sparseocc_directions",
+    "sparseocc_origins",
     "trajectory_origins",
 ]
 

@@ -54,12 +54,12 @@ def check_grid(name: str, grid: object) -> None:
 
 
 def check_labels(
-    name: str, labels: Tensor, shape: tuple[int, ...], num_classes: int, ignore_class: int | None = None
+    name: str, labels: Tensor, shape: tuple[int, ...], num_classes: int, ignore_index: int | None = None
 ) -> Tensor:
     """Return class ids (B, *shape), whole numbers of any type, as uint8.
 
     Raises:
-        ValueError: with `name`, for a wrong shape, type, or id other than 0 .. num_classes-1 and `ignore_class`.
+        ValueError: with `name`, for a wrong shape, type, or id other than 0 .. num_classes-1 and `ignore_index`.
     """
     if labels.ndim != len(shape) + 1 or labels.shape[1:] != shape:
         expected = ", ".join(["B", *map(str, shape)])
@@ -72,10 +72,10 @@ def check_labels(
     if not labels.numel() or (whole and labels.amin() >= 0 and labels.amax() < num_classes):
         return labels.to(torch.uint8)
     wrong = (labels < 0) | (labels >= num_classes) | (labels != labels.floor())
-    if ignore_class is not None:
-        wrong &= labels != ignore_class
+    if ignore_index is not None:
+        wrong &= labels != ignore_index
     if wrong.any():
-        allowed = f"0..{num_classes - 1}" + ("" if ignore_class is None else f" or {ignore_class}")
+        allowed = f"0..{num_classes - 1}" + ("" if ignore_index is None else f" or {ignore_index}")
         found = labels[wrong].unique().tolist()[:MOST_SHOWN]
         raise ValueError(f"{name} must hold class ids {allowed}, got {found} in {labels.dtype}")
     return labels.to(torch.uint8)

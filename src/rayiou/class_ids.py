@@ -32,9 +32,9 @@ class ClassIds:
         if not 2 <= self.num_classes <= 255:
             raise ValueError(f"num_classes must be 2..255, got {self.num_classes}")
         if not 0 <= self.free < self.num_classes:
-            raise ValueError(f"free_class must be 0..{self.num_classes - 1}, got {self.free}")
+            raise ValueError(f"free_index must be 0..{self.num_classes - 1}, got {self.free}")
         if not self.num_classes <= self.ignored <= 255:
-            raise ValueError(f"ignore_class must be {self.num_classes}..255, beyond the classes, got {self.ignored}")
+            raise ValueError(f"ignore_index must be {self.num_classes}..255, beyond the classes, got {self.ignored}")
         names = self.names
         if names is not None and (len(names) != self.num_classes or len(set(names)) != len(names)):
             raise ValueError(f"class_names must be {self.num_classes} different names, got {list(names)}")

@@ -72,7 +72,7 @@ def sparseocc_origins(
     Example:
         >>> positions_m = torch.zeros(20, 3)
         >>> positions_m[:, 0] = torch.arange(20) * 5.0 - 50.0
-        >>> eight_origins(positions_m)[:, 0].tolist()
+        >>> sparseocc_origins(positions_m)[:, 0].tolist()
         [-35.0, -25.0, -15.0, -5.0, 5.0, 15.0, 25.0, 35.0]
     """
     return positions_m[eight_frames(positions_m, reach_m, most)]
@@ -81,7 +81,7 @@ def sparseocc_origins(
 def eight_frames(
     positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
 ) -> Int64[Tensor, " O"]:
-    """Return the numbers of the frames whose positions `eight_origins` returns."""
+    """Return the numbers of the frames whose positions `sparseocc_origins` returns."""
     return thin_frames((positions_m[:, :2].abs() < reach_m).all(dim=1).nonzero().flatten(), most)
 
 

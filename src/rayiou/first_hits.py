@@ -15,23 +15,23 @@ from rayiou.raycast.trace import Hits
 
 def ray_hits(
     labels: Shaped[Array, "X Y Z"],
-    geometry: Cylinder | Cuboid,
+    grid: Cylinder | Cuboid,
     origins: Float[Array, "O 3"] | None = None,
     directions: Float[Array, "D 3"] | None = None,
     num_classes: int = NUM_CLASSES,
-    free_class: int = FREE,
-    ignore_class: int = UNKNOWN,
+    free_index: int = FREE,
+    ignore_index: int = UNKNOWN,
 ) -> Hits:
     """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
 
     Args:
-        labels: class of every cell, or `ignore_class`, which stops a ray as well.
-        geometry: grid of the labels.
+        labels: class of every cell, or `ignore_index`, which stops a ray as well.
+        grid: grid of the labels.
         origins: starts of the rays, ego frame, metres; default the ego origin.
         directions: of the rays from every origin; default `sparseocc_directions()`.
         num_classes: number of classes, free included.
-        free_class: id of free space, and of rays without a hit.
-        ignore_class: id of unknown cells.
+        free_index: id of free space, and of rays without a hit.
+        ignore_index: id of unknown cells.
 
     Returns:
         All rays from the first origin, then those from the next. `cells` indexes the flattened volume, so instance ids
@@ -48,10 +48,10 @@ def ray_hits(
         >>> hits.labels.item(), hits.cells.item(), hits.entry_m.item(), hits.exit_m.item()
         (4, 3, 3.0, 4.0)
     """
-    classes = ClassIds(num_classes, free_class, ignore_class)
+    classes = ClassIds(num_classes, free_index, ignore_index)
     labels, origins = as_tensors("cpu", labels=labels, origins=origins)
-    checked = classes.check("labels", labels.unsqueeze(0), geometry.shape, truth=True)[0]
+    checked = classes.check("labels", labels.unsqueeze(0), grid.shape, truth=True)[0]
     starts = torch.zeros(1, 3) if origins is None else origins
     check_origins("origins", starts)
-    hits = ray_table(geometry, starts.to(labels.device), scan_of(directions)).cast(checked - free_class)
-    return hits._replace(labels=hits.labels + free_class)
+    hits = ray_table(grid, starts.to(labels.device), scan_of(directions)).cast(checked - free_index)
+    return hits._replace(labels=hits.labels + free_index)

@@ -86,12 +86,12 @@ class RayCounter:
 
     def __init__(
         self,
-        geometry: Cylinder | Cuboid,
+        grid: Cylinder | Cuboid,
         classes: ClassIds,
         thresholds_m: Sequence[float | int],
         range_edges_m: Sequence[float | int] | None,
         directions: Float[Array, "D 3"] | None,
-        target_geometry: Cylinder | Cuboid | None,
+        target_grid: Cylinder | Cuboid | None,
         hit: Literal["exit", "entry"],
         count_free_rays: bool,
         split_origins: bool = False,
@@ -99,9 +99,9 @@ class RayCounter:
     ):
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
-        self.geometry, self.target_geometry = geometry, target_geometry or geometry
-        check_grid("geometry", self.geometry)
-        check_grid("target_geometry", self.target_geometry)
+        self.grid, self.target_grid = grid, target_grid or grid
+        check_grid("grid", self.grid)
+        check_grid("target_grid", self.target_grid)
         self.classes = classes
         self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
         self.fine_m = tuple(float(edge) for edge in fine_thresholds_m)
@@ -132,7 +132,7 @@ class RayCounter:
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        preds = self.classes.check("preds", preds, self.geometry.shape, truth=False)
+        preds = self.classes.check("preds", preds, self.grid.shape, truth=False)
         if origins is not None and (origins.ndim != 3 or len(origins) != len(preds) or origins.shape[2] != 3):
             raise ValueError(f"origins must have shape ({len(preds)}, O, 3), got {tuple(origins.shape)}")
         if origins is not None:
@@ -186,7 +186,7 @@ class RayCounter:
 
     def setting(self) -> UInt8[Tensor, "16"]:
         """Return a hash of all that decides what is counted: metrics with equal ones may share their counts."""
-        grids, classes = (self.geometry, self.target_geometry), (self.classes.num_classes, self.classes.free)
+        grids, classes = (self.grid, self.target_grid), (self.classes.num_classes, self.classes.free)
         parts = grids, classes, self.classes.ignored, self.thresholds_m, self.fine_m, self.range_edges_m, self.hit
         text = repr((*parts, self.count_free_rays, self.split_origins)).encode()
         return hash_of(text + self.scan.directions.cpu().numpy().tobytes())
@@ -206,7 +206,7 @@ class RayCounter:
         return list(now if origin_times is None else origin_times.sign().long() + 1)
 
     def _known(self, preds: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
-        target = self.classes.check("target", target, self.target_geometry.shape, truth=True)
+        target = self.classes.check("target", target, self.target_grid.shape, truth=True)
         check_same_batch("preds", preds, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
@@ -231,9 +231,9 @@ class RayCounter:
         kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
         range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
         # uint8 wraps around, as in `_cast`
-        found = self.geometry.cast(preds - self.classes.free, starts, directions)
+        found = self.grid.cast(preds - self.classes.free, starts, directions)
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
-        inside = self.geometry.index(starts.double() + directions.double() * range_m.unsqueeze(-1))[1]
+        inside = self.grid.index(starts.double() + directions.double() * range_m.unsqueeze(-1))[1]
         # the LiDAR was there when the frame was taken
         now = torch.tensor([TIMES.index("now")]) if self.split_origins else None
         return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside, now)
@@ -264,14 +264,14 @@ class RayCounter:
     def _count_voxels(
         self, preds: Tensor, target: Tensor, origins: Float[Tensor, "O 3"], times: Int64[Tensor, " O"] | None
     ) -> RayCounts:
-        if self.target_geometry == self.geometry:
-            found, truth = self._cast(ray_table(self.geometry, origins, self.scan), preds, target)
+        if self.target_grid == self.grid:
+            found, truth = self._cast(ray_table(self.grid, origins, self.scan), preds, target)
         else:
-            found = self._cast(ray_table(self.geometry, origins, self.scan), preds)[0]
-            truth = self._cast(ray_table(self.target_geometry, origins, self.scan), target)[0]
+            found = self._cast(ray_table(self.grid, origins, self.scan), preds)[0]
+            truth = self._cast(ray_table(self.target_grid, origins, self.scan), target)[0]
         free = truth.labels == self.classes.free
         valid = ~free
-        if self.target_geometry != self.geometry:
+        if self.target_grid != self.grid:
             valid &= self._inside(origins, (truth.entry_m.double() + truth.exit_m) / 2)
         true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
         if self.count_free_rays:
@@ -286,7 +286,7 @@ class RayCounter:
         origins: Float[Tensor, "O 3"],
         times: Int64[Tensor, " O"] | None,
     ) -> RayCounts:
-        table = ray_table(self.geometry, origins, self.scan)
+        table = ray_table(self.grid, origins, self.scan)
         found = self._cast(table, preds)[0]
         range_m, labels = range_m.double(), labels.to(torch.uint8)
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
@@ -307,7 +307,7 @@ class RayCounter:
     def _inside(self, origins: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
         """Return whether the points at these distances are in the prediction's grid."""
         starts, directions = self.scan.rays(origins)
-        return self.geometry.index(starts + directions * range_m.unsqueeze(-1))[1]
+        return self.grid.index(starts + directions * range_m.unsqueeze(-1))[1]
 
     def _clear(self, found: Hits, clear_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
         """Return whether rays with free truth up to these distances count: no truth is available beyond."""

@@ -18,7 +18,6 @@ from rayiou.plot import Colors, plot_scores
 from rayiou.protocol import RaysSeen
 from rayiou.ray_counter import RayCounter, RayTruth, tensors_of
 from rayiou.ray_counts import TIMES, RayCounts
-from rayiou.renamed import renamed
 from rayiou.setting import CountMetric
 
 if TYPE_CHECKING:
@@ -40,14 +39,14 @@ class RayIoU(CountMetric):
     `docs/rayiou.md` compares this with the public script.
 
     Args:
-        geometry: grid of the predictions.
+        grid: grid of the predictions.
         num_classes: number of classes, free included.
-        free_class: id of free space.
-        ignore_class: id of unknown cells in the target; rays whose true first hit is unknown are dropped.
+        free_index: id of free space.
+        ignore_index: id of unknown cells in the target; rays whose true first hit is unknown are dropped.
         thresholds_m: distance errors that count as correct, each strictly below; the mean runs over these.
         range_edges_m: ends of the range bands; None for no bands.
         directions: (D, 3) rays in the ego frame; default `sparseocc_directions()`.
-        target_geometry: grid of the targets; default `geometry`. Rays whose true hit is outside the prediction's grid
+        target_grid: grid of the targets; default `grid`. Rays whose true hit is outside the prediction's grid
             are dropped.
         hit: distance of a hit: where the ray leaves the cell hit (the public protocol) or where it enters it.
         count_free_rays: also count rays whose truth is free, at the distance at which the ray leaves the grid, so that
@@ -85,14 +84,14 @@ class RayIoU(CountMetric):
 
     def __init__(
         self,
-        geometry: Cylinder | Cuboid,
+        grid: Cylinder | Cuboid,
         num_classes: int = NUM_CLASSES,
-        free_class: int = FREE,
-        ignore_class: int = UNKNOWN,
+        free_index: int = FREE,
+        ignore_index: int = UNKNOWN,
         thresholds_m: Sequence[float | int] = (1.0, 2.0, 4.0),
         range_edges_m: Sequence[float | int] | None = None,
         directions: Float[Array, "D 3"] | None = None,
-        target_geometry: Cylinder | Cuboid | None = None,
+        target_grid: Cylinder | Cuboid | None = None,
         hit: Literal["exit", "entry"] = "exit",
         count_free_rays: bool = False,
         class_names: Sequence[str] | None = None,
@@ -101,14 +100,14 @@ class RayIoU(CountMetric):
         **kwargs: Any,
     ):
         super().__init__(**kwargs)
-        classes = ClassIds(num_classes, free_class, ignore_class, class_names)
+        classes = ClassIds(num_classes, free_index, ignore_index, class_names)
         self.counter = RayCounter(
-            geometry,
+            grid,
             classes,
             thresholds_m,
             range_edges_m,
             directions,
-            target_geometry,
+            target_grid,
             hit,
             count_free_rays,
             split_origins,
@@ -120,7 +119,6 @@ class RayIoU(CountMetric):
         self.add_state("inputs", torch.tensor(astuple(RaysSeen()), dtype=torch.int64), dist_reduce_fx="max")
         self.add_state("measured", torch.zeros(3, dtype=torch.int64), dist_reduce_fx="sum")
 
-    @renamed({"prediction": "preds"})
     def update(
         self,
         preds: Shaped[Array, "B *grid"],
@@ -132,8 +130,8 @@ class RayIoU(CountMetric):
         """Add predicted and true class ids of a batch.
 
         Args:
-            preds: (B, *geometry.shape) class of every cell; any integer type, or whole numbers in a floating one.
-            target: (B, *target_geometry.shape) true class of every cell, or `ignore_class`; or the measured rays of
+            preds: (B, *grid.shape) class of every cell; any integer type, or whole numbers in a floating one.
+            target: (B, *target_grid.shape) true class of every cell, or `ignore_index`; or the measured rays of
                 `update_rays`.
             origins: (B, O, 3) starts of the rays, ego frame, metres; default the ego origin. `trajectory_origins` gives
                 those of the public protocol.
@@ -157,7 +155,6 @@ class RayIoU(CountMetric):
         seen = RaysSeen(True, measured, own_rays, number, origin_times is not None, observed is not None)
         self.inputs = torch.maximum(self.inputs, self.inputs.new_tensor(astuple(seen)))
 
-    @renamed({"prediction": "preds"})
     def update_rays(
         self,
         preds: Shaped[Array, "B X Y Z"],
@@ -226,14 +223,14 @@ class RayIoU(CountMetric):
         return found
 
     @classmethod
-    def sparseocc(cls, geometry: Cylinder | Cuboid, num_classes: int = 18, **options: Any) -> "RayIoU":
+    def sparseocc(cls, grid: Cylinder | Cuboid, num_classes: int = 18, **options: Any) -> "RayIoU":
         """Return the metric in the published setting, that of Occ3D in SparseOcc's script.
 
         The last class is free, 255 is unknown, 14,040 rays start in every origin, and a hit is right below 1, 2 or 4 m.
         OpenOcc has 17 classes. Other arguments as in the class; `update` takes the origins
         (https://github.com/MCG-NJU/SparseOcc).
         """
-        return cls(geometry, num_classes, num_classes - 1, **options)
+        return cls(grid, num_classes, num_classes - 1, **options)
 
     def plot(
         self,
@@ -266,20 +263,19 @@ def _measured(target: RayTruth, ignored: int, counts: RayCounts) -> Int64[Tensor
     return torch.stack([(~absent).sum(), (unknown & ~absent).sum(), counts.truth.sum()])
 
 
-@renamed({"prediction": "preds"})
 def ray_iou(
     preds: Shaped[Array, "B X Y Z"],
     target: Shaped[Array, "B Xt Yt Zt"] | RayTruth,
-    geometry: Cylinder | Cuboid,
+    grid: Cylinder | Cuboid,
     origins: Float[Array, "B O 3"] | None = None,
     observed: Bool[Array, "B Xt Yt Zt"] | None = None,
     num_classes: int = NUM_CLASSES,
-    free_class: int = FREE,
-    ignore_class: int = UNKNOWN,
+    free_index: int = FREE,
+    ignore_index: int = UNKNOWN,
     thresholds_m: Sequence[float | int] = (1.0, 2.0, 4.0),
     range_edges_m: Sequence[float | int] | None = None,
     directions: Float[Array, "D 3"] | None = None,
-    target_geometry: Cylinder | Cuboid | None = None,
+    target_grid: Cylinder | Cuboid | None = None,
     hit: Literal["exit", "entry"] = "exit",
     count_free_rays: bool = False,
     class_names: Sequence[str] | None = None,
@@ -303,14 +299,14 @@ def ray_iou(
         >>> ray_iou(target.roll(1, dims=1), target, grid, directions=level, thresholds_m=(0.5,))["rayiou"].item()
         0.0
     """
-    classes = ClassIds(num_classes, free_class, ignore_class, class_names)
+    classes = ClassIds(num_classes, free_index, ignore_index, class_names)
     counter = RayCounter(
-        geometry,
+        grid,
         classes,
         thresholds_m,
         range_edges_m,
         directions,
-        target_geometry,
+        target_grid,
         hit,
         count_free_rays,
         split_origins,

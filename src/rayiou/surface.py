@@ -27,21 +27,21 @@ class Surface(NamedTuple):
     cells: np.ndarray
 
 
-def surface(occupied: Bool[Tensor, "X Y Z"], geometry: Grid) -> Surface:
+def surface(occupied: Bool[Tensor, "X Y Z"], grid: Grid) -> Surface:
     """Return the faces between an occupied cell and a neighbour that is not occupied or is outside the grid.
 
     Faces come axis by axis, lower before upper, cells in row-major order. A cylinder's curved faces are drawn flat, as
     chords; at its axis, faces have no area.
     """
     solid = occupied.reshape(-1).numpy()
-    neighbors = geometry.neighbors().reshape(-1, 6).numpy()
-    edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
-    lattice = geometry.from_axes(*edges).numpy()
+    neighbors = grid.neighbors().reshape(-1, 6).numpy()
+    edges = torch.meshgrid(*(grid.edges(axis) for axis in range(3)), indexing="ij")
+    lattice = grid.from_axes(*edges).numpy()
     corners, cells = [], []
     for side in range(6):
         beyond = neighbors[:, side]
         exposed = np.flatnonzero(solid & ~((beyond >= 0) & solid[beyond]))
-        index = np.stack(np.unravel_index(exposed, geometry.shape), 1)[:, None] + face_corners(side // 2, side % 2)
+        index = np.stack(np.unravel_index(exposed, grid.shape), 1)[:, None] + face_corners(side // 2, side % 2)
         corners.append(lattice[tuple(np.moveaxis(index, -1, 0))])
         cells.append(exposed)
     return Surface(np.concatenate(corners), np.concatenate(cells))

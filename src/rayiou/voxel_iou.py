@@ -14,7 +14,6 @@ from rayiou.cylinder import Cylinder
 from rayiou.labels import FREE, NUM_CLASSES, UNKNOWN
 from rayiou.plot import Colors, plot_scores
 from rayiou.protocol import cells_text
-from rayiou.renamed import renamed
 from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def voxel_confusion(
     return torch.bincount(keys, weights, minlength=num_classes**2).double().reshape(num_classes, num_classes)
 
 
-def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: Mapping[int, str]) -> dict[str, Tensor]:
+def voxel_scores(confusion: Float64[Tensor, "C C"], free_index: int, occupied: Mapping[int, str]) -> dict[str, Tensor]:
     """Return the scores of sums (`voxel_confusion`); `occupied` has the names by id of all classes but free.
 
     Returns:
@@ -45,7 +44,7 @@ def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: M
     correct, ids = confusion.diagonal(), list(occupied)
     classes = correct / (confusion.sum(0) + confusion.sum(1) - correct)
     found = confusion[ids][:, ids].sum()
-    missed, hallucinated = confusion[ids, free_class].sum(), confusion[free_class, ids].sum()
+    missed, hallucinated = confusion[ids, free_index].sum(), confusion[free_index, ids].sum()
     scores = {"iou": found / (found + missed + hallucinated), "miou": classes[ids].nanmean()}
     scores |= {"precision": found / (found + hallucinated), "recall": found / (found + missed)}
     scores["f1"] = 2 * found / (2 * found + missed + hallucinated)
@@ -60,9 +59,9 @@ class VoxelIoU(CountMetric):
 
     Args:
         num_classes: number of classes, free included.
-        free_class: id of free space.
-        ignore_class: id of unknown cells in the target, which do not count.
-        geometry: grid whose cell volumes weigh the cells. The cells of a cylinder grow with their distance, so scores
+        free_index: id of free space.
+        ignore_index: id of unknown cells in the target, which do not count.
+        grid: grid whose cell volumes weigh the cells. The cells of a cylinder grow with their distance, so scores
             of a cylinder and of a cuboid are comparable only by volume. Default: every cell counts once.
         class_names: names by id, for the keys; default the ids.
         kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
@@ -87,22 +86,21 @@ class VoxelIoU(CountMetric):
     def __init__(
         self,
         num_classes: int = NUM_CLASSES,
-        free_class: int = FREE,
-        ignore_class: int = UNKNOWN,
-        geometry: Cylinder | Cuboid | None = None,
+        free_index: int = FREE,
+        ignore_index: int = UNKNOWN,
+        grid: Cylinder | Cuboid | None = None,
         class_names: Sequence[str] | None = None,
         **kwargs: Any,
     ):
         super().__init__(**kwargs)
-        self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
-        if geometry is not None:
-            check_grid("geometry", geometry)
-        self.geometry = geometry
-        self.add_setting(hash_of(repr((num_classes, free_class, ignore_class, geometry)).encode()))
+        self.classes = ClassIds(num_classes, free_index, ignore_index, class_names)
+        if grid is not None:
+            check_grid("grid", grid)
+        self.grid = grid
+        self.add_setting(hash_of(repr((num_classes, free_index, ignore_index, grid)).encode()))
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("masked", torch.zeros((), dtype=torch.uint8), dist_reduce_fx="max")
 
-    @renamed({"prediction": "preds"})
     def update(
         self,
         preds: Shaped[Array, "B X Y Z"],
@@ -113,7 +111,7 @@ class VoxelIoU(CountMetric):
 
         Args:
             preds: class of every cell; any integer type, or whole numbers in a floating one.
-            target: true class of every cell, or `ignore_class`.
+            target: true class of every cell, or `ignore_index`.
             observed: cells that count; default all. Unknown cells never count.
 
         Raises:
@@ -121,13 +119,13 @@ class VoxelIoU(CountMetric):
         """
         preds, target, observed = as_tensors(self.device, preds=preds, target=target, observed=observed)
         check_same_shape("preds", preds, "target", target)
-        shape = tuple(target.shape[1:]) if self.geometry is None else self.geometry.shape
+        shape = tuple(target.shape[1:]) if self.grid is None else self.grid.shape
         preds = self.classes.check("preds", preds, shape, truth=False)
         target = self.classes.check("target", target, shape, truth=True)
         check_mask("observed", observed, target.shape)
         known = target != self.classes.ignored
         counted = known if observed is None else observed & known
-        weights = None if self.geometry is None else self.geometry.volumes_m3()
+        weights = None if self.grid is None else self.grid.volumes_m3()
         self.confusion = self.confusion + voxel_confusion(preds, target, counted, self.classes.num_classes, weights)
         if observed is not None:
             self.masked = torch.ones_like(self.masked)
@@ -139,7 +137,7 @@ class VoxelIoU(CountMetric):
 
     def protocol(self) -> str:
         """Return which cells of what it was given this process counted, and how, in one line."""
-        return cells_text(self.classes, self.geometry is not None, bool(self.masked))
+        return cells_text(self.classes, self.grid is not None, bool(self.masked))
 
     def plot(
         self,

@@ -64,7 +64,7 @@ def report(preset: str, folder: Path) -> None:
     print(f"{'sample of':28} {'ms':>8} {'samples/s and core':>20}")
     for name, (window, needs) in stages.items():
         data.window = window
-        data.read_only(needs, needs)
+        data.set_needs(needs, needs)
         data.setup()
         dataset = data.dataset("train")
         spent = seconds(lambda dataset=dataset: dataset[len(dataset) - 1])

@@ -23,7 +23,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "src"))
 
-from omniocc.geometry import Cuboid, Cylinder, RayTable, RayScan
+from omniocc.geometry import Cuboid, Cylinder, RayScan, RayTable
 from omniocc.metric import RayIoU, sparseocc_directions
 
 ROAD_CELLS = 2
@@ -73,7 +73,9 @@ def timed(work: Callable[[], object], repeats: int) -> Time:
     return Time(min(spent), statistics.median(spent))
 
 
-def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: RayScan, repeats: int) -> Floor:
+def find_floor(
+    grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: RayScan, repeats: int
+) -> Floor:
     """Count cells and columns up to the first hit on the paths of all rays, and time a pass over their bytes."""
     hits = RayTable(grid, scan.fans(origins)).cast(labels)
     cells = columns = 0

@@ -82,10 +82,10 @@ def measure(size: Size, threads: int, repeats: int) -> str:
 
     @torch.no_grad()
     def infer() -> None:
-        model.select(model.logits(range_m, valid))
+        model.candidates(model.logits(range_m, valid))
 
     def learn() -> None:
-        sum(model.training_terms(range_m, valid, voxels).values(), torch.zeros(())).backward()
+        sum(model.weighted_losses(range_m, valid, voxels).values(), torch.zeros(())).backward()
 
     with FlopCounterMode(display=False) as flops:
         infer()

@@ -11,9 +11,9 @@ from omniworld.drawn import (
     HEIGHT_M,
     LENSES,
     car_places,
-    perturb_rig,
     draw_lens,
     draw_rig,
+    perturb_rig,
     ring_places,
 )
 

@@ -165,7 +165,7 @@ def test_recorded_poses_that_no_car_has_driven_are_named(tmp_path):
     spec = replace(world.spec, lidar_directions=None)
 
     def problems():
-        return check_scene(recorded, Expected(spec, world.labels(grid, "free"), grid), frames=1)[0]
+        return check_scene(recorded, Expected(spec, world.labels(grid, "none"), grid), frames=1)[0]
 
     assert not any("jumps" in line for line in problems())
     recorded.world_from_ego[:, :3, 3] *= 1000

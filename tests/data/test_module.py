@@ -146,7 +146,7 @@ def test_more_than_a_batch_is_needed(root):
     with pytest.raises(ValueError, match="got 0, 1 and 0"):
         make(root, batch_size=0)
     with pytest.raises(ValueError, match="got 2, 0 and 0"):
-        OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=2, num_workers=0, seed=0, frames_together=0)
+        OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=2, num_workers=0, seed=0, samples_per_scene=0)
 
 
 def test_scores_have_the_bands_that_were_asked_for(root):
@@ -230,5 +230,5 @@ def test_it_is_said_that_a_log_does_not_see_all_free_cells(root, monkeypatch):
     log = property(lambda scene: real(scene) | {"facts": real(scene)["facts"] | {"log": {}}})
     monkeypatch.setattr(SceneReader, "meta", log)
     (line,) = make(root).remarks()
-    assert "data.unknown=unobserved" in line
-    assert list(make(root, unknown="unobserved").remarks()) == []
+    assert "data.ignore=unobserved" in line
+    assert list(make(root, ignore="unobserved").remarks()) == []

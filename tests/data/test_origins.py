@@ -71,14 +71,14 @@ def test_the_module_casts_from_the_chosen_origins_of_its_grid(world):
     data.prepare_data()
     data.setup()
     assert data.dataset("train")[1].ray_origins is None
-    data.cast_from("trajectory")
+    data.set_ray_origins("trajectory")
     data.setup()
     (batch,) = data.test_dataloader()
     assert batch.ray_times.tolist() == [[0, 1, 2, 0], [-1, 0, 1, 2], [-2, -1, 0, 1], [-2, -1, 0, 0]]
     finite = batch.ray_origins[batch.ray_origins.isfinite().all(-1)]
     assert len(finite) == 14
     assert finite[:, :2].norm(dim=1).max() < 7
-    data.cast_from("own")
+    data.set_ray_origins("own")
     data.setup()
     assert data.dataset("train")[1].ray_origins is None
 

@@ -47,13 +47,13 @@ def test_depth(option, rigs, smoke):
 def test_losses_of_depth(option, seed, rigs, smoke):
     model = build(smoke(f"model/depth={option}", "preset.panorama.height=16").depth)
     images, erp_m, camera_m = padded(rigs), torch.rand(2, 16, 48) * 20, 20 * padded(rigs, 1)[:, :, 0]
-    both = model.training_terms(images, rigs, erp_m, camera_m, torch.Generator().manual_seed(seed))
+    both = model.weighted_losses(images, rigs, erp_m, camera_m, torch.Generator().manual_seed(seed))
     parts = []
     for sample, rig in enumerate(rigs):
         part = slice(sample, sample + 1)
         ranges = erp_m[part], crop(camera_m[part], rig)
         parts.append(
-            model.training_terms(crop(images[part], rig), (rig,), *ranges, torch.Generator().manual_seed(seed))
+            model.weighted_losses(crop(images[part], rig), (rig,), *ranges, torch.Generator().manual_seed(seed))
         )
     for name, term in both.items():
         torch.testing.assert_close(term, (parts[0][name] + parts[1][name]) / 2, atol=1e-4, rtol=1e-4)

@@ -81,7 +81,7 @@ def test_measured_points_count_in_the_grid_from_where_the_ray_starts():
 def test_true_cells_of_another_grid_count_if_their_middle_is_in_the_prediction():
     """The last of four cells of 3 m is from 9 to 12 m, its middle outside of the 10 m of the prediction."""
     other = Cuboid((4, 1, 1), (0.0, 12.0), (-0.5, 0.5), (-0.5, 0.5))
-    metric = RayIoU(LINE, directions=AHEAD, target_geometry=other)
+    metric = RayIoU(LINE, directions=AHEAD, target_grid=other)
     metric.update(torch.zeros_like(car_at(0)), car_at(3, cells=4))
     assert metric.truth.sum() == 0
 

@@ -32,7 +32,7 @@ def test_names_of_seventeen_classes_are_the_keys():
 
 
 def test_free_class_has_no_key():
-    metric = VoxelIoU(num_classes=17, free_class=3, class_names=NAMES)
+    metric = VoxelIoU(num_classes=17, free_index=3, class_names=NAMES)
     assert class_keys(metric.compute(), "iou/") == [*NAMES[:3], *NAMES[4:]]
 
 

@@ -23,7 +23,7 @@ def test_examples(name):
 
 def test_the_public_names_have_examples():
     finder = doctest.DocTestFinder(recurse=False)
-    names = ("RayIoU", "VoxelIoU", "DepthMetrics", "ray_iou", "ray_hits", "eight_origins", "trajectory_origins")
+    names = ("RayIoU", "VoxelIoU", "DepthMetrics", "ray_iou", "ray_hits", "sparseocc_origins", "trajectory_origins")
     public = [getattr(omniocc.metric, name) for name in names] + [rayiou.Grid.trace]
     for thing in public:
         assert any(test.examples for test in finder.find(thing, globs={})), thing

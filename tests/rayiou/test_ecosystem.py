@@ -106,7 +106,7 @@ def test_a_collection_never_merges_metrics_of_other_settings():
     target[0, 1] = 4  # 2 to 4 m
     preds = torch.zeros(1, 10, 1, 1, dtype=torch.uint8)
     kinds = {
-        hit: RayIoU(LINE, directions=FORWARD, target_geometry=wide, thresholds_m=(0.5,), hit=hit)
+        hit: RayIoU(LINE, directions=FORWARD, target_grid=wide, thresholds_m=(0.5,), hit=hit)
         for hit in ("exit", "entry")
     }
     metrics = MetricCollection({**kinds, "again": kinds["exit"].clone()})
@@ -177,7 +177,7 @@ def test_old_names_work_with_a_warning(name):
 def test_old_names_of_the_functions():
     preds, target = batch("rays")
     with pytest.warns(FutureWarning, match=r"ray_iou\(\): the argument 'prediction' is called 'preds' now"):
-        found = ray_iou(prediction=preds, target=target, geometry=GRID)
+        found = ray_iou(prediction=preds, target=target, grid=GRID)
     same(found, ray_iou(preds, target, GRID))
     metric = RayIoU(LINE, directions=FORWARD)
     with pytest.warns(FutureWarning, match=r"update_rays\(\): the argument 'prediction'"):

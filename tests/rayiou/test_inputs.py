@@ -87,4 +87,4 @@ def test_confidences_outside_of_their_range_are_named():
     with pytest.raises(ValueError, match=r"preds must be ranges above 0, got -2\.0"):
         DepthMetrics().update(torch.tensor([-2.0]), torch.tensor([3.0]))
     with pytest.raises(ValueError, match="geometry must be a grid"):
-        VoxelIoU(geometry=(8, 12, 4))
+        VoxelIoU(grid=(8, 12, 4))

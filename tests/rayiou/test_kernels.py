@@ -12,7 +12,7 @@ import torch
 from torch.utils.data import DataLoader
 
 import rayiou
-from omniocc.geometry import Cuboid, Cylinder, RayTable, RayScan
+from omniocc.geometry import Cuboid, Cylinder, RayScan, RayTable
 from omniocc.metric import sparseocc_directions
 from rayiou.raycast.kernel_table import run_in_threads
 

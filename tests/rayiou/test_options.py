@@ -65,7 +65,7 @@ def test_a_ray_that_misses_the_grid_does_not_count():
 
 def test_free_ray_does_not_count_beyond_the_grid_of_the_truth():
     for place, hallucinations in (("c5", 1), ("c15", 0)):
-        metric = RayIoU(LONG, directions=FORWARD, target_geometry=LINE, count_free_rays=True)
+        metric = RayIoU(LONG, directions=FORWARD, target_grid=LINE, count_free_rays=True)
         metric.update(line(20, **{place: 4}), line())
         assert metric.predicted.sum(0)[4] == hallucinations
 
@@ -182,7 +182,7 @@ def test_cylinder_and_cuboid_agree_on_the_road():
     cylinder = Cylinder(shape=(40, 60, 8), radius_m=(0.0, 10.0), height_m=(-2.8, 3.6))
     cuboid = Cuboid(shape=(50, 50, 8), x_m=(-15.0, 15.0), y_m=(-15.0, 15.0), height_m=(-2.8, 3.6))
     for geometry, target in ((cylinder, cuboid), (cuboid, cylinder)):
-        metric = RayIoU(geometry, target_geometry=target, hit="entry", thresholds_m=(1e-4,))
+        metric = RayIoU(geometry, target_grid=target, hit="entry", thresholds_m=(1e-4,))
         metric.update(road(geometry), road(target))
         assert metric.compute()["rayiou/1"].item() == 1.0
         assert metric.truth.sum() > 1000
@@ -199,7 +199,7 @@ def test_ray_hits_are_those_of_trace():
     assert torch.equal(hits.labels, labels)
     hit = hits.cells >= 0
     assert torch.equal(prediction[0].flatten()[hits.cells[hit].long()], hits.labels[hit])
-    turned = ray_hits((prediction[0] + 11) % 12, SMALL, origins, directions, free_class=11)
+    turned = ray_hits((prediction[0] + 11) % 12, SMALL, origins, directions, free_index=11)
     assert torch.equal(turned.cells, hits.cells)
     assert torch.equal((turned.labels + 1) % 12, hits.labels)
 
@@ -208,5 +208,5 @@ def test_ray_hits_are_those_of_trace():
 def test_a_shape_is_no_grid(metric):
     with pytest.raises(ValueError, match=r"geometry must be a grid, .*Cuboid\(shape, x_m.*got tuple"):
         metric((200, 200, 16))
-    with pytest.raises(ValueError, match="target_geometry must be a grid"):
-        RayIoU(SMALL, target_geometry=(200, 200, 16))
+    with pytest.raises(ValueError, match="target_grid must be a grid"):
+        RayIoU(SMALL, target_grid=(200, 200, 16))

@@ -107,7 +107,7 @@ def test_the_line_of_the_default():
 def test_the_line_says_what_was_given():
     preds, target = frames()
     metric = RayIoU(
-        GRID, directions=DIRECTIONS, thresholds_m=(0.5, 1), hit="entry", count_free_rays=True, ignore_class=99
+        GRID, directions=DIRECTIONS, thresholds_m=(0.5, 1), hit="entry", count_free_rays=True, ignore_index=99
     )
     target = target.clamp(max=11)
     metric.update(preds, target)
@@ -144,7 +144,7 @@ def test_the_line_of_voxels():
     known = "cells count whose truth is not unknown (255)"
     mean = "mIoU: mean over the classes that occur, of 11 without free"
     assert metric.protocol() == f"{known}, each once; {mean}"
-    metric = VoxelIoU(geometry=GRID)
+    metric = VoxelIoU(grid=GRID)
     metric.update(preds, target, target > 0)
     assert metric.protocol() == f"{known} and that are observed, weighed by volume; {mean}"
     metric.reset()

@@ -136,11 +136,9 @@ def test_entry_and_exit_distances():
     wide = Cuboid(shape=(5, 1, 1), x_m=(0.0, 10.0), y_m=(-0.5, 0.5), height_m=(-0.5, 0.5))
     target = torch.zeros(1, 5, 1, 1, dtype=torch.uint8)
     target[0, 1] = 4  # 2 to 4 m
-    scores = ray_iou(line(c2=4), target, LINE, directions=FORWARD, target_geometry=wide, thresholds_m=(0.5,))
+    scores = ray_iou(line(c2=4), target, LINE, directions=FORWARD, target_grid=wide, thresholds_m=(0.5,))
     assert scores["rayiou"].item() == 0.0  # left at 3 m and at 4 m
-    scores = ray_iou(
-        line(c2=4), target, LINE, directions=FORWARD, target_geometry=wide, thresholds_m=(0.5,), hit="entry"
-    )
+    scores = ray_iou(line(c2=4), target, LINE, directions=FORWARD, target_grid=wide, thresholds_m=(0.5,), hit="entry")
     assert scores["rayiou"].item() == 1.0  # both entered at 2 m
 
 
@@ -148,9 +146,9 @@ def test_truth_outside_the_predicted_grid_is_dropped():
     far = Cuboid(shape=(20, 1, 1), x_m=(0.0, 20.0), y_m=(-0.5, 0.5), height_m=(-0.5, 0.5))
     target = torch.zeros(1, 20, 1, 1, dtype=torch.uint8)
     target[0, 12] = 4
-    assert math.isnan(ray_iou(line(), target, LINE, directions=FORWARD, target_geometry=far)["rayiou"].item())
+    assert math.isnan(ray_iou(line(), target, LINE, directions=FORWARD, target_grid=far)["rayiou"].item())
     target[0, 9] = 4
-    assert ray_iou(line(c9=4), target, LINE, directions=FORWARD, target_geometry=far)["rayiou"].item() == 1.0
+    assert ray_iou(line(c9=4), target, LINE, directions=FORWARD, target_grid=far)["rayiou"].item() == 1.0
 
 
 @pytest.mark.parametrize("grid", [CYLINDER, CUBOID])
@@ -194,7 +192,7 @@ def test_another_free_class_gives_the_same_scores():
         torch.where(labels == 255, 255, (labels.long() + 11) % 12).to(torch.uint8) for labels in (prediction, target)
     ]
     expected = ray_iou(prediction, target, CUBOID)
-    found = ray_iou(turned[0], turned[1], CUBOID, free_class=11)
+    found = ray_iou(turned[0], turned[1], CUBOID, free_index=11)
     assert found["rayiou"].item() == expected["rayiou"].item()
     assert ray_iou(prediction % 3, target.clamp(max=1), CUBOID, num_classes=3)["rayiou/1"] >= 0
 
@@ -291,9 +289,9 @@ def test_error_names_wrong_input(change, message):
         ({"thresholds_m": ()}, "thresholds_m.*increasing"),
         ({"range_edges_m": (5.0,)}, "range_edges_m.*increasing"),
         ({"range_edges_m": (5.0, 1.0)}, "range_edges_m.*increasing"),
-        ({"free_class": 12}, r"free_class.*0\.\.11.* 12"),
+        ({"free_index": 12}, r"free_index.*0\.\.11.* 12"),
         ({"num_classes": 1}, r"num_classes.*2\.\.255.* 1"),
-        ({"ignore_class": 3}, r"ignore_class.*12\.\.255"),
+        ({"ignore_index": 3}, r"ignore_index.*12\.\.255"),
     ],
 )
 def test_error_names_wrong_arguments(arguments, message):

@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from omniocc.geometry import Cuboid, Cylinder, sample_nearest, resample
+from omniocc.geometry import Cuboid, Cylinder, resample, sample_nearest
 
 FINE = Cuboid((20, 18, 8), (-4.0, 4.0), (-3.6, 3.6), (-1.6, 1.6))
 TARGETS = [

@@ -17,13 +17,13 @@ BANDS = {"range_edges_m": (0.0, 4.0, 9.0)}
 KEYS = {"rays": "rayiou", "voxels": "miou", "depth": "mae", "calibration": "ece", "candidates": "recall"}
 OTHERS = {
     "rays": [
-        RayIoU(WIDE), RayIoU(GRID, thresholds_m=(1, 2, 3)), RayIoU(GRID, hit="entry"), RayIoU(GRID, ignore_class=99),
+        RayIoU(WIDE), RayIoU(GRID, thresholds_m=(1, 2, 3)), RayIoU(GRID, hit="entry"), RayIoU(GRID, ignore_index=99),
         RayIoU(GRID, count_free_rays=True), RayIoU(GRID, num_classes=18), RayIoU(GRID, **BANDS),
-        RayIoU(GRID, directions=FORWARD), RayIoU(GRID, target_geometry=WIDE), RayIoU(GRID, fine_thresholds_m=(0.5,)),
-        RayIoU(GRID, split_origins=True), RayIoU(GRID, free_class=3),
+        RayIoU(GRID, directions=FORWARD), RayIoU(GRID, target_grid=WIDE), RayIoU(GRID, fine_thresholds_m=(0.5,)),
+        RayIoU(GRID, split_origins=True), RayIoU(GRID, free_index=3),
     ],
     "voxels": [
-        VoxelIoU(geometry=GRID), VoxelIoU(ignore_class=99), VoxelIoU(free_class=3), VoxelIoU(num_classes=18),
+        VoxelIoU(grid=GRID), VoxelIoU(ignore_index=99), VoxelIoU(free_index=3), VoxelIoU(num_classes=18),
     ],
     "depth": [DepthMetrics(1.0), DepthMetrics(farthest_m=50.0), DepthMetrics(spheres=96), DepthMetrics(**BANDS)],
     "calibration": [CalibrationError(10)],
@@ -127,7 +127,7 @@ def test_cells_and_volumes_stay_apart_after_a_batch_of_unknown_cells():
     target = torch.ones(1, *grid.shape, dtype=torch.uint8)
     preds = target.clone()
     preds[:, 1] = 0
-    metrics = MetricCollection({"cells": VoxelIoU(), "volumes": VoxelIoU(geometry=grid)})
+    metrics = MetricCollection({"cells": VoxelIoU(), "volumes": VoxelIoU(grid=grid)})
     metrics.update(preds, torch.full_like(target, 255))
     metrics.update(preds, target)
     found = metrics.compute()
@@ -138,7 +138,7 @@ def test_settings_are_equal_if_their_values_are():
     pairs = [
         (DepthMetrics(1, 50, range_edges_m=(0, 10)), DepthMetrics(1.0, 50.0, range_edges_m=[0.0, 10.0])),
         (RayIoU(GRID, thresholds_m=(1, 2)), RayIoU(copy.deepcopy(GRID), thresholds_m=[1.0, 2.0])),
-        (VoxelIoU(geometry=GRID, class_names=tuple("abcdefghijkl")), VoxelIoU(geometry=copy.deepcopy(GRID))),
+        (VoxelIoU(grid=GRID, class_names=tuple("abcdefghijkl")), VoxelIoU(grid=copy.deepcopy(GRID))),
     ]
     for one, two in pairs:
         one.merge_state(two)
@@ -279,7 +279,7 @@ def test_results_without_cache(name):
 
 def test_unknown_truth_alone_counts_nothing():
     preds = batch("voxels")[0]
-    for metric in (RayIoU(GRID), VoxelIoU(), VoxelIoU(geometry=GRID), CandidateScores(GRID)):
+    for metric in (RayIoU(GRID), VoxelIoU(), VoxelIoU(grid=GRID), CandidateScores(GRID)):
         given = preds > 0 if isinstance(metric, CandidateScores) else preds
         metric.update(given, torch.full_like(preds, 255))
         found = metric.compute()

@@ -40,7 +40,7 @@ def test_a_cylinders_cells_count_by_their_volume():
     target[0, :, 0] = 1
     prediction = target.clone()
     prediction[0, 0, 0] = 0  # the inner cell of the sector, a quarter of its volume, is missed
-    by_cell, by_volume = VoxelIoU(), VoxelIoU(geometry=grid)
+    by_cell, by_volume = VoxelIoU(), VoxelIoU(grid=grid)
     for metric in (by_cell, by_volume):
         metric.update(prediction, target)
     assert by_cell.compute()["recall"].item() == pytest.approx(1 / 2)
@@ -49,7 +49,7 @@ def test_a_cylinders_cells_count_by_their_volume():
 
 
 def test_other_classes():
-    metric = VoxelIoU(num_classes=3, free_class=2, ignore_class=9)
+    metric = VoxelIoU(num_classes=3, free_index=2, ignore_index=9)
     metric.update(voxels(0, 1, 2, 2), voxels(0, 0, 2, 9))
     scores = metric.compute()
     assert scores["iou"].item() == 1.0

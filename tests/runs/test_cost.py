@@ -73,7 +73,7 @@ class OnDepth(nn.Module):
         self.depth = nn.Identity()
         self.depth.NEEDS_TRUE_RANGE = recorded
 
-    def training_terms(self, range_m, valid, voxels):
+    def weighted_losses(self, range_m, valid, voxels):
         return {}
 
 

@@ -86,7 +86,7 @@ def test_every_combination_trains_all_its_parameters(overrides, make_task):
 
 
 def test_a_part_with_factor_0_keeps_weights_and_statistics(make_task, tmp_path):
-    task = make_task("model/sketch=dense", "model/temporal=mean", "rate_factors={backbone: 0, refiner: 0.5}")
+    task = make_task("model/sketch=dense", "model/temporal=mean", "lr_multipliers={backbone: 0, refiner: 0.5}")
     before = {name: value.clone() for name, value in task.model.state_dict().items()}
     train(tmp_path, task, 2)
     changed = {name.split(".")[0] for name, value in task.model.state_dict().items() if not value.equal(before[name])}
@@ -99,8 +99,8 @@ def test_a_part_with_factor_0_keeps_weights_and_statistics(make_task, tmp_path):
 @pytest.mark.parametrize(
     ("factors", "message"),
     [
-        ("{backbon: 0}", "rate_factors.backbon: the model has no such part; it has backbone, "),
-        ("{backbone: -1}", "rate_factors.backbone=-1: give 0"),
+        ("{backbon: 0}", "lr_multipliers.backbon: the model has no such part; it has backbone, "),
+        ("{backbone: -1}", "lr_multipliers.backbone=-1: give 0"),
         (
             "{backbone: 0, lifter: 0, temporal: 0, refiner: 0, semantic_head: 0, classifier: 0}",
             "nothing of the model is left to train",
@@ -109,7 +109,7 @@ def test_a_part_with_factor_0_keeps_weights_and_statistics(make_task, tmp_path):
 )
 def test_factors_that_cannot_be_are_refused(factors, message, make_task):
     with pytest.raises(UserError, match=message):
-        make_task("model/sketch=dense", f"rate_factors={factors}")
+        make_task("model/sketch=dense", f"lr_multipliers={factors}")
 
 
 class Batches(LightningDataModule):

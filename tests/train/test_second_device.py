@@ -72,8 +72,8 @@ def test_every_depth_option_predicts_there_and_learned_ones_train(name, smoke, d
     camera_range_m = torch.rand(1, 6, 36, 64, device=CUDA) * 30
     found = model(images, (RIG,), range_m)
     assert all(tagged(part) for part in (found.range_m, found.index, found.valid, found.confidence))
-    if hasattr(model, "training_terms"):
-        terms = model.training_terms(images, (RIG,), range_m, camera_range_m, torch.Generator())
+    if hasattr(model, "weighted_losses"):
+        terms = model.weighted_losses(images, (RIG,), range_m, camera_range_m, torch.Generator())
         torch.stack(list(terms.values())).sum().backward()
         assert all(tagged(p.grad) for p in model.parameters() if p.grad is not None)
     if not model.NEEDS_TRUE_RANGE:

@@ -61,7 +61,7 @@ def test_given_weights_stay_when_a_stage_without_training_is_entered_again(tmp_p
             6,
             r"model.refiner._target_=omniocc.model.refiner.NoRefiner .there omniocc.model.refiner.UNet",
         ),
-        (("rate_factors={backbone: 0.5}",), 6, r"rate_factors={'backbone': 0.5} \(there None\)"),
+        (("lr_multipliers={backbone: 0.5}",), 6, r"lr_multipliers={'backbone': 0.5} \(there None\)"),
         (("ema_decay=0.9",), 6, r"ema_decay=0.9 \(there None\)"),
     ],
 )

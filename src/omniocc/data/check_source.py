@@ -63,7 +63,7 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
     """
     scenes = [scene for split in SPLITS for scene in source.scenes(split)]
     work = partial(
-        check_scene, expected=Expected(source.spec, source.labels(geometry, "free"), geometry), frames=frames
+        check_scene, expected=Expected(source.spec, source.labels(geometry, "none"), geometry), frames=frames
     )
     total = sum(count if frames == 0 else min(frames, count) for count in map(frames_of, scenes))
     with Progress("check", total) as progress:

@@ -17,7 +17,7 @@ from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.origins import Origins
 from omniocc.data.sampler import EpochSampler, RankSampler
-from omniocc.data.source import SPLITS, SceneSource, SourceSpec, Split, Unknown, VoxelLabels
+from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, VoxelLabels
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
@@ -41,7 +41,7 @@ class OccupancyData(LightningDataModule):
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
         unknown: label of cells without points: `free` (the paper) or `unobserved` (255 unless a sensor saw through).
-        frames_together: training frames of a scene that follow one another; where every scene has a rig of its own,
+        samples_per_scene: training frames of a scene that follow one another; where every scene has a rig of its own,
             two or more save time.
         range_edges_m: ends of the distance bands of scores; LiDAR hits at the last of them or beyond count as free.
             None: those of the source.
@@ -61,17 +61,17 @@ class OccupancyData(LightningDataModule):
         batch_size: int,
         num_workers: int,
         seed: int,
-        unknown: Unknown = "free",
-        frames_together: int = 1,
+        ignore: Ignore = "none",
+        samples_per_scene: int = 1,
         range_edges_m: Sequence[float] | None = None,
         ray_azimuths: int | None = None,
     ):
         super().__init__()
         if ray_azimuths is not None and ray_azimuths < 1:
             raise ValueError(f"ray_azimuths must be at least 1, got {ray_azimuths}")
-        if min(batch_size, frames_together) < 1 or num_workers < 0:
-            given = f"{batch_size}, {frames_together} and {num_workers}"
-            raise ValueError(f"batch_size and frames_together must be at least 1, num_workers 0, got {given}")
+        if min(batch_size, samples_per_scene) < 1 or num_workers < 0:
+            given = f"{batch_size}, {samples_per_scene} and {num_workers}"
+            raise ValueError(f"batch_size and samples_per_scene must be at least 1, num_workers 0, got {given}")
         self.source = source
         self.num_classes = num_classes
         self.geometry = geometry
@@ -79,8 +79,8 @@ class OccupancyData(LightningDataModule):
         self.batch_size = batch_size
         self.num_workers = num_workers
         self.seed = seed
-        self.unknown: Unknown = unknown
-        self.frames_together = frames_together
+        self.ignore: Ignore = ignore
+        self.samples_per_scene = samples_per_scene
         self.range_edges_m = range_edges_m
         self.ray_azimuths = ray_azimuths
         self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
@@ -118,7 +118,7 @@ class OccupancyData(LightningDataModule):
     @cached_property
     def voxels(self) -> VoxelLabels:
         """Return the source's labels of the grid."""
-        return self.source.labels(self.geometry, self.unknown)
+        return self.source.labels(self.geometry, self.ignore)
 
     def remarks(self) -> Iterator[str]:
         """Yield a line where scores end before the grid does, labels are lost or a real LiDAR leaves cells unseen.
@@ -142,10 +142,10 @@ class OccupancyData(LightningDataModule):
         first = [scene for scene in self.source.scenes("train") if len(scene)][:1]
         yield from filter(None, (lost_line(scene, self.voxels, self.geometry) for scene in first))
         scenes = [scene for scene in first if isinstance(scene, SceneReader)]
-        if self.unknown == "free" and any("log" in scene.meta.get("facts", {}) for scene in scenes):
+        if self.ignore == "none" and any("log" in scene.meta.get("facts", {}) for scene in scenes):
             yield (
                 "cells without points count as free, but a single LiDAR does not see all of them: "
-                "data.unknown=unobserved leaves those out that no ray has crossed"
+                "data.ignore=unobserved leaves those out that no ray has crossed"
             )
 
     def check_classes(self) -> None:
@@ -166,12 +166,12 @@ class OccupancyData(LightningDataModule):
             made = WindowDataset(scenes, self.voxels, self.window, needs, own_rays, self.origins, grid)
             self._datasets.setdefault(split, made)
 
-    def read_only(self, train: Needs, test: Needs) -> None:
+    def set_needs(self, train: Needs, test: Needs) -> None:
         """Set what samples hold from the next `setup` on: those of training, and those of validation and test."""
         self.needs = {"train": train, "val": test, "test": test}
         self._datasets = {}
 
-    def cast_from(self, origins: Origins) -> None:
+    def set_ray_origins(self, origins: Origins) -> None:
         """Set from where the rays of RayIoU start, from the next `setup` on."""
         self.origins = origins
         self._datasets = {}
@@ -194,7 +194,7 @@ class OccupancyData(LightningDataModule):
         done = self._resume["batches"] * self.batch_size
         sizes = [len(scene) for scene in dataset.scenes]
         resume = self._resume["epoch"], done
-        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.frames_together)
+        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.samples_per_scene)
         if len(sampler) < self.batch_size:
             raise UserError(
                 f"{len(sampler)} training samples per process are less than one batch of {self.batch_size}: "

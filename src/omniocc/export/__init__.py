@@ -5,7 +5,7 @@ from omniocc.export.files import export_files
 from omniocc.export.program import FrameProgram, Step, example_inputs, export_program, make_module
 
 __all__ = [
-    "Frame",
+    "FrameProgram",
     "Step",
     "contract_of",
     "example_inputs",

@@ -17,7 +17,7 @@ __all__ = [
     "Lovasz",
     "RangeBins",
     "SILog",
-    "Scal",
+    "SceneClassAffinity",
     "Semantics",
-    "Total",
+    "TotalLoss",
 ]

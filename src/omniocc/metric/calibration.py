@@ -9,7 +9,6 @@ from torch import Tensor
 
 from rayiou.checks import Array, as_tensors, check_mask, check_real
 from rayiou.plot import new_axes, plot_scores
-from rayiou.renamed import renamed
 from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ class CalibrationError(CountMetric):
         self.add_setting(hash_of(repr(bins).encode()))
         self.add_state("sums", torch.zeros(bins, 3, dtype=torch.float64), dist_reduce_fx="sum")
 
-    @renamed({"confidence": "preds", "right": "target"})
     def update(self, preds: Float[Array, "..."], target: Bool[Array, "..."]) -> None:
         """Add the confidences of predictions and whether each is right.
 

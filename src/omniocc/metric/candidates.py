@@ -13,7 +13,6 @@ from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
 from rayiou.checks import Array, as_tensors, check_grid, check_labels, check_mask
 from rayiou.cylinder import PAPER_RANGE_EDGES_M
 from rayiou.plot import plot_scores
-from rayiou.renamed import renamed
 from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ class CandidateScores(CountMetric):
     sums over the dataset and all processes.
 
     Args:
-        geometry: the voxel grid.
+        grid: the voxel grid.
         range_edges_m: ends of the range bands; a band holds its lower end and not its upper one.
         kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
@@ -70,17 +69,16 @@ class CandidateScores(CountMetric):
     counts: Tensor
 
     def __init__(
-        self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
+        self, grid: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
     ):
         super().__init__(**kwargs)
-        check_grid("geometry", geometry)
-        self.geometry = geometry
+        check_grid("grid", grid)
+        self.grid = grid
         self.range_edges_m = as_edges(range_edges_m)
-        self.add_setting(hash_of(repr((geometry, self.range_edges_m)).encode()))
+        self.add_setting(hash_of(repr((grid, self.range_edges_m)).encode()))
         zeros = torch.zeros(num_rows(self.range_edges_m), len(COUNTS), dtype=torch.float64)
         self.add_state("counts", zeros, dist_reduce_fx="sum")
 
-    @renamed({"candidates": "preds", "voxels": "target"})
     def update(self, preds: Bool[Array, "B X Y Z"], target: UInt8[Array, "B X Y Z"]) -> None:
         """Add the candidates and the true classes of a batch.
 
@@ -92,12 +90,12 @@ class CandidateScores(CountMetric):
             ValueError: naming a wrong shape, type or value.
         """
         preds, target = as_tensors(self.device, preds=preds, target=target)
-        target = check_labels("target", target, self.geometry.shape, UNKNOWN, UNKNOWN)
+        target = check_labels("target", target, self.grid.shape, UNKNOWN, UNKNOWN)
         check_mask("preds", preds, target.shape)
         known, occupied = target != UNKNOWN, (target != FREE) & (target != UNKNOWN)
         parts = [preds & occupied, occupied, preds & known, preds, torch.ones_like(preds)]
         columns = torch.stack([part.sum((0, 3)).flatten() for part in parts], dim=1).double()
-        band = band_of(self.geometry.distances_m().flatten(), self.range_edges_m)
+        band = band_of(self.grid.distances_m().flatten(), self.range_edges_m)
         self.counts = self.counts.index_add(0, band.to(columns.device), columns)
 
     def compute(self) -> dict[str, Tensor]:

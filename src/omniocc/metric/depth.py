@@ -10,7 +10,6 @@ from torch import Tensor
 from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
 from rayiou.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
 from rayiou.plot import plot_scores
-from rayiou.renamed import renamed
 from rayiou.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
@@ -114,7 +113,6 @@ class DepthMetrics(CountMetric):
         self.add_state("sums", torch.zeros(rows, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
-    @renamed({"prediction_m": "preds", "target_m": "target"})
     def update(
         self, preds: Float[Array, "..."], target: Float[Array, "..."], observed: Bool[Array, "..."] | None = None
     ) -> None:

@@ -169,7 +169,7 @@ class OccupancyModel(nn.Module):
     def lift(self, images: Images, rigs: tuple[Rig, ...], sketched: Sketched | None = None) -> Lifted:
         """Return the features of images and voxels of single frames; without `sketched` the sketch is run."""
         images = to_unit_range(images)
-        sketched = self.choose(images, rigs) if sketched is None else sketched
+        sketched = self.propose(images, rigs) if sketched is None else sketched
         features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
         volume, extras = volume_and_extras(self.lifter, features, sketched, rigs)
         check_volume(volume, self.lifter, self.lifter.channels, self.geometry)
@@ -194,7 +194,7 @@ class OccupancyModel(nn.Module):
         return self.classifier(volume, *self.hints.in_logits(known)), extras
 
     @torch.no_grad()
-    def choose(self, images: Images, rigs: tuple[Rig, ...]) -> Sketched:
+    def propose(self, images: Images, rigs: tuple[Rig, ...]) -> Sketched:
         """Return the output of the sketch for single frames, without gradient: it is trained in its own stage."""
         return self.sketch(to_unit_range(images), rigs)
 

@@ -101,7 +101,7 @@ def volume_and_extras(option: Callable[..., Tensor], *inputs: Any) -> tuple[Floa
 class Learns(Protocol):
     """An option that is trained in a stage of its own."""
 
-    def training_terms(self, *args: Any) -> dict[str, Float[Tensor, ""]]:
+    def weighted_losses(self, *args: Any) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name."""
         ...
 
@@ -160,7 +160,7 @@ class LearnedDepth(Depth, Learns, Protocol):
     One whose losses use the panorama alone says so by `NEEDS_CAMERA_RANGES = False`.
     """
 
-    def training_terms(
+    def weighted_losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
         rigs: tuple[Rig, ...],
@@ -226,19 +226,19 @@ class LearnedSketch(Sketch, Learns, Protocol):
         """Return scores of free and occupied for every voxel, from a panorama of ranges and where they are known."""
         ...
 
-    def hand_on(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
+    def propose(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
         """Return candidates and evidence, from a panorama of ranges and where they are known."""
         ...
 
-    def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
-        """Return the candidates before they are dilated."""
+    def above_threshold(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+        """Return the cells that are candidates before they are dilated."""
         ...
 
-    def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+    def candidates(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates."""
         ...
 
-    def training_terms(
+    def weighted_losses(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name; 255 in the true voxels is unknown."""

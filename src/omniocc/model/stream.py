@@ -125,6 +125,8 @@ class Stream:
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in there for key in window] for window in windows], device=poses.device)
-        sketched, known = (concatenate([getattr(window[-1], part) for window in frames]) for part in ("sketched", "known"))
+        sketched, known = (
+            concatenate([getattr(window[-1], part) for window in frames]) for part in ("sketched", "known")
+        )
         self._frames = {key: there[key] for key in windows[-1][1:] if key in there}
         return self.model.fuse(volumes, poses, exists, sketched, known)[0]

@@ -3,16 +3,16 @@
 from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, resized_to_width
 from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import PointCloud, point_cloud, write_ply
-from omniocc.predict.predictor import FramePrediction, Predictor, predict_depth
+from omniocc.predict.predictor import PredictedFrame, Predictor, predict_depth
 from omniocc.predict.trained import PredictedRanges, PredictedVoxels, Trained, load
 from omniocc.predict.training_data import TrainingData
 
 __all__ = [
-    "Frame",
+    "FrameFiles",
     "PointCloud",
+    "PredictedFrame",
     "PredictedRanges",
     "PredictedVoxels",
-    "Prediction",
     "Predictor",
     "Trained",
     "TrainingData",

@@ -24,13 +24,13 @@ from omniocc.predict.output.voxel_files import (
     write_mesh,
     write_voxels,
 )
-from omniocc.predict.predictor import STEPS, Images, Input, FramePrediction, Predictor
+from omniocc.predict.predictor import STEPS, Images, Input, PredictedFrame, Predictor
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.progress import Progress, clock
 from omniocc.train.scores import Scores
 
-ShowFrame = Callable[["Job", FrameSequence, int, Images, FramePrediction, Truth | None], None]
+ShowFrame = Callable[["Job", FrameSequence, int, Images, PredictedFrame, Truth | None], None]
 """Shows one frame: given the job, its sequence and index, its images, its prediction, and the truth if there is any."""
 
 
@@ -98,9 +98,11 @@ class Job:
         pose = None if poses is None else poses[frame]
         return Input(*self.predictor.scaled(images, sequence.rig), pose, sequence.true_range_m(frame), images)
 
-    def _keep(self, sequence: FrameSequence, frame: int, given: Input, prediction: FramePrediction, watch: Stopwatch) -> str:
+    def _keep(
+        self, sequence: FrameSequence, frame: int, given: Input, prediction: PredictedFrame, watch: Stopwatch
+    ) -> str:
         """Write, show and score a prediction, and return a line about it."""
-        truth = sequence.truth(frame, self.predictor.model.geometry, self.trained.unknown)
+        truth = sequence.truth(frame, self.predictor.model.geometry, self.trained.ignore)
         with watch("write"):
             self._write(sequence, frame, given.original, prediction, truth)
         if self.show is not None:
@@ -115,7 +117,7 @@ class Job:
         sequence: FrameSequence,
         frame: int,
         images: Images,
-        prediction: FramePrediction,
+        prediction: PredictedFrame,
         truth: Truth | None,
     ) -> None:
         folder = self._folder(sequence, frame)
@@ -139,7 +141,7 @@ class Job:
 
     def _score_finished(self, sequence: FrameSequence, frame: int) -> None:
         geometry = self.predictor.model.geometry
-        truth = sequence.truth(frame, geometry, self.trained.unknown)
+        truth = sequence.truth(frame, geometry, self.trained.ignore)
         if truth is not None:
             self._score(read_labels(self._folder(sequence, frame), geometry), truth)
 

@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from omniocc.camera import Rig
 from omniocc.config import as_options
-from omniocc.data.source import Unknown
+from omniocc.data.source import Ignore
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
@@ -65,7 +65,7 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
-    made_from = facts_of(options, sequences, history, width, trained.unknown)
+    made_from = facts_of(options, sequences, history, width, trained.ignore)
     write_manifest(Path(options.output), made_from, options.force)
     if options.images is not None:
         rig_of(options).save(Path(options.output) / OWN_RIG)
@@ -159,7 +159,7 @@ def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[
 
 
 def facts_of(
-    options: Options, sequences: Sequence[FrameSequence], history: History, width: int | None, unknown: Unknown
+    options: Options, sequences: Sequence[FrameSequence], history: History, width: int | None, ignore: Ignore
 ) -> dict[str, str | int | Sequence[str] | None]:
     """Return what the predictions are made from and how they are scored, for the manifest of their folder."""
     own = sequences[0] if options.recorded is None else None
@@ -171,7 +171,7 @@ def facts_of(
         "history": history,
         "image_width": width,
         "exclude_cameras": list(options.exclude_cameras),
-        "unknown": None if own is not None else unknown,
+        "ignore": None if own is not None else ignore,
     } | ({} if options.image_bits is None else {"image_bits": options.image_bits})
 
 

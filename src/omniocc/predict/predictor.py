@@ -25,7 +25,7 @@ STEPS: tuple[str, ...] = ("read", "depth", "sketch", "occupancy", "write")
 NOT_FINITE = "the network returns NaN: its weights are damaged, use another checkpoint"
 
 
-class FramePrediction(NamedTuple):
+class PredictedFrame(NamedTuple):
     """The prediction for one frame, on the CPU.
 
     Attributes:
@@ -118,7 +118,7 @@ class Predictor:
 
     def frames(
         self, wanted: Sequence[int], history: History, read: Callable[[int], Input]
-    ) -> Iterator[tuple[int, Input, FramePrediction, Stopwatch]]:
+    ) -> Iterator[tuple[int, Input, PredictedFrame, Stopwatch]]:
         """Yield the wanted frames of a sequence with their predictions, and the time that each took.
 
         Args:
@@ -140,7 +140,7 @@ class Predictor:
                 yield lift.frame, given, prediction, watch
 
     @torch.inference_mode()
-    def step(self, given: Input, watch: Stopwatch) -> FramePrediction:
+    def step(self, given: Input, watch: Stopwatch) -> PredictedFrame:
         """Return the prediction for the next frame; `watch` measures the time of depth, sketch and occupancy.
 
         Raises:
@@ -159,7 +159,7 @@ class Predictor:
         if not bool(logits.isfinite().all()):
             raise UserError(NOT_FINITE)
         range_m = None if depth is None else depth.known_range_m()[0].cpu()
-        return FramePrediction(labels, sketched.candidates[0].cpu(), range_m)
+        return PredictedFrame(labels, sketched.candidates[0].cpu(), range_m)
 
     def _choose(self, images: Tensor, given: Input, watch: Stopwatch) -> tuple[Sketched, DepthMap | None]:
         """Return the candidates and their ranges; depth ignores the black images of excluded cameras."""
@@ -171,4 +171,4 @@ class Predictor:
             true_range_m = None if given.true_range_m is None else given.true_range_m.to(self.device)
             depth = sketch.depth(images, (given.rig,), true_range_m)
         with watch("sketch"):
-            return sketch.hand_on(depth.range_m, depth.valid), depth
+            return sketch.propose(depth.range_m, depth.valid), depth

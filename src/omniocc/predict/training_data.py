@@ -7,7 +7,7 @@ from omegaconf import DictConfig, OmegaConf
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
-from omniocc.data.source import Unknown
+from omniocc.data.source import Ignore
 from omniocc.data.source.cameras import training_rig
 from omniocc.predict.input.sequence import raise_rig
 
@@ -32,7 +32,7 @@ class TrainingData:
     rig_name: str
     road_z_m: float | None
     classes: ClassTable
-    unknown: Unknown
+    ignore: Ignore
     frame_interval_s: float
 
     @classmethod
@@ -44,7 +44,7 @@ class TrainingData:
         """
         source, spec = data.source, data.spec
         name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
-        return cls(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown, spec.frame_interval_s)
+        return cls(training_rig(source), name, spec.road_z_m, spec.classes, data.ignore, spec.frame_interval_s)
 
     def width_for(self, rig: Rig) -> int:
         """Return the width, px, at which images of a rig have about as many pixels as those of the training."""

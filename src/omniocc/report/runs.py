@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from omniocc.config import GROUPS, fits
-from omniocc.errors import UserError, shown
+from omniocc.errors import UserError, repr_of
 from omniocc.io import checked_name, parse_yaml, read_short_text
 from omniocc.progress import Progress
 from omniocc.report.archive import is_archive
@@ -97,7 +97,9 @@ def read_runs(folder: Path) -> list[FinishedRun]:
 
 def _read(folder: Path) -> FinishedRun:
     if not folder.name.isprintable():
-        raise UserError(f"a run's folder is named {shown(folder.name)}, which cannot be written into tables: rename it")
+        raise UserError(
+            f"a run's folder is named {repr_of(folder.name)}, which cannot be written into tables: rename it"
+        )
     facts, metrics = load_results(folder)
     if RAY_IOU not in metrics:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")

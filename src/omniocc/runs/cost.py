@@ -60,7 +60,7 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     stream = Stream(model)
     runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):
-        runs.append(lambda: model.choose(images[None], (sample.rigs[-1],)))
+        runs.append(lambda: model.propose(images[None], (sample.rigs[-1],)))
     for _ in range(model.temporal.frames - 1):  # the window is full when the counted frame comes
         count_gflop(runs[0])
     return cost_of_network(model, *runs)

@@ -6,7 +6,7 @@ import math
 import re
 from pathlib import Path
 
-from omniocc.errors import UserError, shown
+from omniocc.errors import UserError, repr_of
 from omniocc.io import check_regular
 
 CURVES = "csv/version_*/metrics.csv"
@@ -65,4 +65,4 @@ def _number(path: Path, key: str, value: str) -> float:
     try:
         return float(value)
     except ValueError as error:
-        raise UserError(f"{path} is damaged: {key} is {shown(value)}") from error
+        raise UserError(f"{path} is damaged: {key} is {repr_of(value)}") from error

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.config import fits
-from omniocc.errors import UserError, first_line, shown
+from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.runs.folder import IMAGES, METRICS, git_commit
 from omniocc.runs.table import ORIGINS, as_markdown, as_text
@@ -75,7 +75,7 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
         facts = parse_json(read_short_text(path))
         metrics = facts.pop("metrics")
         if wrong := [key for key, hint in HINTS.items() if key in facts and not fits(facts[key], hint)]:
-            raise ValueError(f"{wrong[0]} is {shown(facts[wrong[0]])}")
+            raise ValueError(f"{wrong[0]} is {repr_of(facts[wrong[0]])}")
         if any("<" in line for line in facts.get(PROTOCOL, {}).values()):  # it is printed into pages as it is
             raise ValueError(f"a line of its {PROTOCOL} has tags")
         figures = {key: math.nan if value is None else float(value) for key, value in metrics.items()}

@@ -39,7 +39,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
         raise UserError(f"{data.source.folder} has no true voxels of validation scenes, with which an audit compares")
     print(f"{len(scenes)} validation scenes of {data.source.folder}")
     needs = Needs(panorama=True)
-    data.read_only(needs, needs)
+    data.set_needs(needs, needs)
     data.setup()
     loader, task = data.val_dataloader(), task.eval()
     found = Audit(task.model.geometry, data.spec)
@@ -47,7 +47,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
         for batch in loader:
             logits = task.predict(batch).logits
             images = batch.images[:, -1]
-            found.update(logits, task.model.choose(images, batch.newest_rigs), batch)
+            found.update(logits, task.model.propose(images, batch.newest_rigs), batch)
             if batch.erp_range_m is not None and learns(type(task.model.sketch)):
                 sketch = cast(LearnedSketch, task.model.sketch)
                 seen = sketch.depth(images, batch.newest_rigs, batch.erp_range_m)

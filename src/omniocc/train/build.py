@@ -70,6 +70,6 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
         )
     model = parts.model() if trained is None else trained
     config = parts.config
-    factors = config.get("rate_factors") or {}  # checkpoints of older versions have none
+    factors = config.get("lr_multipliers") or {}  # checkpoints of older versions have none
     seed = OmegaConf.select(parts.cfg, "stages.occupancy.seed", default=config["seed"])
     return OccupancyTask(model, *parts.of_task(), parts.cfg.ema_decay, spec, config, factors, seed)

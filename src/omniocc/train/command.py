@@ -13,7 +13,7 @@ from omniocc.runs.folder import given_checkpoint
 from omniocc.runs.memory import keep_freed_memory
 from omniocc.runs.plan import hours_line
 from omniocc.runs.slots import slots_line
-from omniocc.train.build import build_task, check_devices, without_unused_head, line_on_lifter
+from omniocc.train.build import build_task, check_devices, line_on_lifter, without_unused_head
 from omniocc.train.stage import Stage, announce
 from omniocc.train.stage_keys import wanted_stages
 from omniocc.train.stages import EarlierStage, stages_of

@@ -60,7 +60,7 @@ class DepthTask(StageTask[nn.Module]):
         generator = step_generator(self, self.seed, batch_index)
         if self.appearance is not None:
             images = self.appearance(images, batch.image_mask()[:, -1], generator)
-        terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
+        terms = self.model.weighted_losses(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:

@@ -36,8 +36,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         augment: random changes of training batches.
         ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.
         spec: of the data: classes, bands and LiDAR rays of the scores.
-        rate_factors: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps its
-            weights and its statistics of batch norm.
+        lr_multipliers: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps
+            its weights and its statistics of batch norm.
         seed: of the random changes.
 
     Raises:
@@ -55,12 +55,12 @@ class OccupancyTask(StageTask[OccupancyModel]):
         ema_decay: float | None,
         spec: SourceSpec,
         config: dict[str, Any],
-        rate_factors: Mapping[str, float],
+        lr_multipliers: Mapping[str, float],
         seed: int,
     ):
         super().__init__(model, optimizer, config)
-        self.rate_factors, self.seed = rate_factors, seed
-        self.fixed = fixed_parts(model, rate_factors)
+        self.lr_multipliers, self.seed = lr_multipliers, seed
+        self.fixed = fixed_parts(model, lr_multipliers)
         self.train()
         self.loss = loss
         self.augment = augment
@@ -175,14 +175,14 @@ def fixed_parts(model: nn.Module, factors: Mapping[str, float]) -> tuple[nn.Modu
     for name, factor in factors.items():
         if name not in parts or not name:
             known = ", ".join(part for part, _ in model.named_children())
-            raise UserError(f"rate_factors.{name}: the model has no such part; it has {known}, and their parts")
+            raise UserError(f"lr_multipliers.{name}: the model has no such part; it has {known}, and their parts")
         if factor < 0:
-            raise UserError(f"rate_factors.{name}={factor}: give 0 (the part stays as it is) or more")
+            raise UserError(f"lr_multipliers.{name}={factor}: give 0 (the part stays as it is) or more")
     for name, parameter in model.named_parameters():
         if factor_of(name, factors) == 0:
             parameter.requires_grad_(False)
     if not any(parameter.requires_grad for parameter in model.parameters()):
-        raise UserError("rate_factors: nothing of the model is left to train")
+        raise UserError("lr_multipliers: nothing of the model is left to train")
     return tuple(part for name, part in parts.items() if name and factor_of(name, factors) == 0)
 
 

@@ -37,15 +37,15 @@ class SketchTask(StageTask[nn.Module]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
-        terms = {} if batch.voxels is None else self.sketch.training_terms(*panorama(batch), batch.voxels)
+        terms = {} if batch.voxels is None else self.sketch.weighted_losses(*panorama(batch), batch.voxels)
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted candidates."""
         logits = self.sketch.logits(*panorama(batch))
-        candidates = self.sketch.select(logits)
+        candidates = self.sketch.candidates(logits)
         if batch.voxels is not None:
-            self.raw.update(self.sketch.choose(logits), batch.voxels)
+            self.raw.update(self.sketch.above_threshold(logits), batch.voxels)
             self.dilated.update(candidates, batch.voxels)
         return candidates
 

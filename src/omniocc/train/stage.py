@@ -161,7 +161,7 @@ class Stage(ABC):
         if is_first():
             atomic_write(place.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
         data = self.parts.data(window=self.window, batch_size=recipe.batch_size, seed=recipe.seed)
-        data.read_only(*self.needs(task))
+        data.set_needs(*self.needs(task))
         data.setup()
         given = self.begin(task, data, place.checkpoint)
         duration = TrainingTime()
@@ -183,7 +183,7 @@ class Stage(ABC):
             default_root_dir=str(place.folder),
         )
         if trainer.is_global_zero:
-            announce(title, task, data, place, given)
+            announce_stage(title, task, data, place, given)
         trains = self.learns and recipe.max_steps != 0
         if trains:
             trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
@@ -210,7 +210,7 @@ class Stage(ABC):
         finish(trainer.loggers)
 
 
-def announce(title: str, task: StageTask, data: OccupancyData, place: Place, given: str | None) -> None:
+def announce_stage(title: str, task: StageTask, data: OccupancyData, place: Place, given: str | None) -> None:
     """Print a line each on the folder, the model, the weights that it starts from (None: random ones), and data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     start = "begins" if place.checkpoint is None else f"goes on from {place.checkpoint.name}"

@@ -62,8 +62,8 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """
     config = plain(cfg)
     trainer = _without(config["trainer"], OVERRULED)
-    together = config["data"].get("frames_together", 1)  # decides the order of the samples
-    trainer |= {} if together == 1 else {"frames_together": together}
+    together = config["data"].get("samples_per_scene", 1)  # decides the order of the samples
+    trainer |= {} if together == 1 else {"samples_per_scene": together}
     stages = {
         stage: with_digest(f"stages.{stage}.weights", recipe)
         for stage, recipe in config["stages"].items()
@@ -79,7 +79,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
         ]
     )
     network = _without(sketch, selection)
-    labels = config["data"]["unknown"]
+    labels = config["data"]["ignore"]
     code = own_code([network, stages["sketch"]])
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
     arguments = {name: sketch[name] for name in selection}

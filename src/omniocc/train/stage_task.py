@@ -51,11 +51,11 @@ class StageTask(LightningModule, Generic[Model]):
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
 
     Attributes:
-        rate_factors: of the learning rate, by parts of the model.
+        lr_multipliers: of the learning rate, by parts of the model.
     """
 
     STAGE: ClassVar[str]
-    rate_factors: Mapping[str, float] = MappingProxyType({})
+    lr_multipliers: Mapping[str, float] = MappingProxyType({})
 
     def __init__(self, model: Model, optimizer: AdamW, config: dict[str, Any]):
         super().__init__()
@@ -88,7 +88,7 @@ class StageTask(LightningModule, Generic[Model]):
 
     def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         """Return optimiser and schedule over all steps that the trainer will take."""
-        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches), self.rate_factors)
+        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches), self.lr_multipliers)
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Log the learning rate of the parts of the model that have no factor."""

@@ -228,7 +228,7 @@ class SketchStage(EarlierStage):
         assert range_m is not None
         device = next(task.parameters()).device
         found = finite_ranges(range_m[None].to(device))
-        return cost_of_network(task.model, lambda: cast(SketchTask, task.eval()).sketch.hand_on(*found))
+        return cost_of_network(task.model, lambda: cast(SketchTask, task.eval()).sketch.propose(*found))
 
     def leaves(self) -> Leaves:  # noqa: D102
         caches = [self.candidates, *([self.evidence] if self.evidence else [])]
@@ -318,7 +318,7 @@ class OccupancyStage(Stage):
         }
         if self.sketch is None:
             sample = data.dataset("test")[0]
-            chosen = task.model.choose(sample.images[-1:].to(task.device), sample.rigs[-1:]).candidates
+            chosen = task.model.propose(sample.images[-1:].to(task.device), sample.rigs[-1:]).candidates
             facts[CANDIDATES] = round(float(chosen.float().mean()), 4)
         return figures, facts
 
@@ -372,7 +372,7 @@ def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Ten
 
 def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tensor, ...]:
     """Return candidates, and bits of the evidence if there is any, (X, Y, Z) each, from a predicted panorama."""
-    return tuple(part[0] for part in task.sketch.hand_on(*finite_ranges(range_m)) if part is not None)
+    return tuple(part[0] for part in task.sketch.propose(*finite_ranges(range_m)) if part is not None)
 
 
 @contextmanager

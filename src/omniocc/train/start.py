@@ -172,7 +172,7 @@ def _part(config: Mapping[str, Any], place: str, left_out: tuple[str, ...] = ())
 def _continued(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return by dotted key what a training cannot change when it goes on from a checkpoint."""
     parts = dotted({key: config[key] for key in ("model", "optimizer")})
-    return parts | {key: config.get(key) for key in ("ema_decay", "rate_factors")}
+    return parts | {key: config.get(key) for key in ("ema_decay", "lr_multipliers")}
 
 
 def _some(names: list[str]) -> str:

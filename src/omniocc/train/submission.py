@@ -38,7 +38,7 @@ def score_files(
     files = [(scene, frame, folder / scene.prediction_file(frame)) for scene, frame in submitted(scenes)]
     if benchmark is None or not files:
         raise UserError(f"there are no frames of the split '{split}' on which predictions could be scored")
-    labels = source.labels(benchmark.grid, "free")
+    labels = source.labels(benchmark.grid, "none")
     for scene in scenes:
         if labels.benchmark(scene, 0) is None:
             raise UserError(f"scene '{scene.name}' has no labels here, so that its predictions cannot be scored")
@@ -101,7 +101,7 @@ def write_files(
         DataError: when the disk refuses.
     """
     needs = Needs(voxels=False, pixel_labels=False, scores=False)
-    data.read_only(needs, needs)
+    data.set_needs(needs, needs)
     data.setup()
     benchmark = data.spec.benchmark
     assert benchmark is not None

@@ -36,7 +36,7 @@ class RayFans(NamedTuple):
     order: Int64[Tensor, " D"]
 
     @classmethod
-    def single(cls, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> "Fans":
+    def single(cls, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> "RayFans":
         """Return rays with nothing in common, each as one fan."""
         directions = unit(directions)
         slopes = directions[:, 2:]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniocc.data.formats.poses import inverse, transform_points, quaternion_pose, rigid, shift
+from omniocc.data.formats.poses import inverse, quaternion_pose, rigid, shift, transform_points
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,9 @@ def test_quaternions_of_nuscenes(quaternion, rows):
     np.testing.assert_allclose(pose[:3, :3], rows, atol=1e-9)
     assert pose[:3, 3].tolist() == [1, 2, 3]
     np.testing.assert_allclose(inverse(pose) @ pose, np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(transform_points(pose, np.array([[1.0, 0, 0]])), [np.array(rows)[:, 0] + [1, 2, 3]], atol=1e-9)
+    np.testing.assert_allclose(
+        transform_points(pose, np.array([[1.0, 0, 0]])), [np.array(rows)[:, 0] + [1, 2, 3]], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ class CellLabels(LazyLabels):
 
     def read(self, scene, frame):
         self.frames.append((scene.name, frame))
-        return torch.full(ONE_CELL.shape, 255 if self.unknown == "unobserved" else 0, dtype=torch.uint8)
+        return torch.full(ONE_CELL.shape, 255 if self.ignore == "unobserved" else 0, dtype=torch.uint8)
 
 
 def test_frames_without_labels_do_not_count_as_free():
@@ -54,4 +54,4 @@ def test_the_counted_frames_are_spread_over_all_scenes(tmp_path):
 def test_counts_are_kept_apart_by_what_unobserved_cells_are(tmp_path, first):
     for unknown in (first, {"free": "unobserved", "unobserved": "free"}[first]):
         counts = CellLabels(tmp_path, unknown).counts(SCENES)
-        assert counts.flatten().tolist() == ([3, 0] if unknown == "free" else [0, 0])
+        assert counts.flatten().tolist() == ([3, 0] if ignore == "none" else [0, 0])

@@ -79,7 +79,7 @@ def test_unobserved_cells_are_unknown_and_kept_apart(scene, tmp_path):
     unseen = observed.observed(scene, 2, GRIDS[0]) == 0
     assert torch.equal(strict == 255, unseen)
     assert torch.equal(strict[~unseen], free[~unseen])
-    with pytest.raises(ValueError, match=r"data.unknown=void: choose free or unobserved"):
+    with pytest.raises(ValueError, match=r"data.ignore=void: choose none or unobserved"):
         VoxelCache(tmp_path, GRIDS[0], "void")
 
 

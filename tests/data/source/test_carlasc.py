@@ -48,7 +48,7 @@ def test_the_lidar_and_the_voxels_are_scored(tmp_path):
     assert set(scan.labels) == {6}
     assert np.isfinite(scenes[0].erp_range_m(0)).sum() > 40
     assert scenes[0].camera_range_m(0) is scenes[0].pixel_labels(0) is None
-    data = WindowDataset(scenes, source.labels(source.grid, "free"), 1, own_rays=True)
+    data = WindowDataset(scenes, source.labels(source.grid, "none"), 1, own_rays=True)
     batch, scores = collate([data[0]]), Scores(source.grid, source.spec)
     scores.update(batch.own_voxels, batch)
     found = scores.compute()

@@ -64,7 +64,7 @@ def train(cfg):
         ["model=extended"],
         ["model/sketch=mono"],
         ["model/sketch=random"],
-        ["model/sketch=dense", "data.unknown=unseen"],
+        ["model/sketch=dense", "data.ignore=unseen"],
     ],
     ids=" ".join,
 )

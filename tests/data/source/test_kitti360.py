@@ -73,7 +73,7 @@ def test_scans_become_ranges_and_votes(root):
     assert len(scene.points(1).points_m) == 5 * len(cloud.points_m)
     assert len(scene.points(0).points_m) == 3 * len(cloud.points_m)
     grid = Cuboid((20, 20, 8), (-10, 10), (-10, 10), (-2.8, 3.6))
-    labels = source.labels(grid, "free")
+    labels = source.labels(grid, "none")
     cells = labels.read(scene, 1)
     assert set(cells.unique().tolist()) == {0, 1}
     assert cells[12, :, 1].sum() > 10  # the road
@@ -178,7 +178,7 @@ def test_the_volume_of_occtrack360_is_centred_and_its_masks_leave_cells_out(root
     assert grid.centers()[20, 20, 4].tolist() == pytest.approx([0.4, 0.4, 0.4])  # half of the cells are behind
     scene = source.scenes("train")[0]
     truth = scene.benchmark(1)
-    votes = source_of(root).labels(grid, "free").read(scene, 1)
+    votes = source_of(root).labels(grid, "none").read(scene, 1)
     assert torch.equal(truth.voxels, votes)
     assert truth.scored.any()
     left = votes[28].nonzero()[:, 0].max()  # the wall to the left, seen; what is beyond it, hidden

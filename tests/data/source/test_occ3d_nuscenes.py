@@ -54,9 +54,9 @@ def test_it_keeps_the_contracts_and_splits_as_published(root):
 def test_cameras_are_where_the_car_was_when_they_took_their_images(root):
     moving = source_of(root).scenes("train")[0].rigs[1].ego_from_camera
     mounted = source_of(root, ego_motion=False).scenes("train")[0].rigs
-    behind_m = SPEED_MPS * EARLY_US * 1e-6
+    dilation_behind_m = SPEED_MPS * EARLY_US * 1e-6
     torch.testing.assert_close(
-        mounted[0].ego_from_camera[:, 0, 3] - moving[:, 0, 3], torch.full((6,), behind_m).double()
+        mounted[0].ego_from_camera[:, 0, 3] - moving[:, 0, 3], torch.full((6,), dilation_behind_m).double()
     )
     front = CAMERAS.index("CAM_FRONT")
     assert mounted[0].ego_from_camera[front, :3, 3].tolist() == pytest.approx([1.6 - ORIGIN_M[0], 0, 1.5 - ORIGIN_M[2]])

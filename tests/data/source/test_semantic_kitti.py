@@ -88,7 +88,7 @@ def test_sequences_with_secret_labels_can_be_predicted_but_not_scored(tmp_path):
     assert scene.numbers == [0, 5]  # those with occupied voxels
     assert scene.own_voxels(0, "free") is None
     assert scene.benchmark(0) is None
-    assert source.labels(source.grid, "free").read(scene, 0) is None
+    assert source.labels(source.grid, "none").read(scene, 0) is None
     with pytest.raises(UserError, match="scene '08' has no labels here"):
         score_files(source, tmp_path)
 
@@ -139,7 +139,7 @@ def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):
 def test_scores_are_on_its_own_voxels_and_nearer_parts(root):
     source = source_of(root)
     grid = Cylinder((16, 24, 8), (0.0, 32.0), (-2.8, 3.6))
-    data = WindowDataset(source.scenes("test"), source.labels(grid, "free"), 1, own_rays=True)
+    data = WindowDataset(source.scenes("test"), source.labels(grid, "none"), 1, own_rays=True)
     batch = collate([data[0], data[1]])
     scores, exact = Scores(grid, source.spec), Scores(source.grid, source.spec)
     scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, 0), batch)
@@ -250,7 +250,7 @@ def test_submissions_in_the_numbers_of_training_are_read_too(root, tmp_path, cap
     for frame in range(2):
         path = tmp_path / scene.prediction_file(frame)
         path.parent.mkdir(parents=True, exist_ok=True)
-        truth = scene.own_voxels(frame, "free").numpy()
+        truth = scene.own_voxels(frame, "none").numpy()
         np.where(truth == UNKNOWN, 0, truth).astype("<u2").tofile(path)
     assert score_files(source, tmp_path)[0]["test/voxel/miou"] == 1
     assert capsys.readouterr().out.startswith("predictions: class 1 is car, as in training\n")

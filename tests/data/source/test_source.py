@@ -69,7 +69,7 @@ def test_sources_keep_the_contracts(source):
     assert isinstance(scene, SceneFrames)
     assert len(scene.rigs) == len(scene.world_from_ego) == len(scene)
     grid = FAKE_GRID if isinstance(source, FakeSource) else Cylinder((8, 10, 4))
-    labels = source.labels(grid, "free")
+    labels = source.labels(grid, "none")
     assert isinstance(labels, VoxelLabels)
     labels.prepare([scene])
     assert labels.read(scene, 0).shape == grid.shape

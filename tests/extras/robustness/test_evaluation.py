@@ -85,7 +85,7 @@ def test_scores_are_those_of_the_model_on_the_disturbed_frames(checkpoint, teste
         for k in range(len(windows)):
             batch = collate([windows[k]])
             assert batch.candidates is None  # the sketch has to run on these images
-            sketched = task.model.choose(batch.images[:, -1], batch.newest_rigs)
+            sketched = task.model.propose(batch.images[:, -1], batch.newest_rigs)
             assert sketched.candidates.any()
             scores.update(task.predict(batch).logits.argmax(1).to(torch.uint8), batch)
     expected = {key: float(value) for key, value in scores.compute().items()}

@@ -71,7 +71,7 @@ def test_predictions_for_recorded_scenes_come_with_truth_and_figures(of_scene, c
 
 
 def test_the_truth_is_that_of_the_training(make_run, dataset, predict, tmp_path):
-    run = make_run("unobserved-0a1b2c3d", "data.unknown=unobserved")
+    run = make_run("unobserved-0a1b2c3d", "data.ignore=unobserved")
     source = f"checkpoint={run / 'best.ckpt'}", f"recorded={dataset}", f"scene={SCENES[1]}", "frames=[0]"
     predict(*source, f"output={tmp_path / 'out'}")
     (kept,) = open_shown(ViewOptions(predictions=str(tmp_path / "out")))

@@ -48,7 +48,7 @@ def test_true_ranges_of_cameras_give_the_true_panorama(small, make_ring, monkeyp
 
 def test_ranges_of_cameras_are_needed(small, rig):
     with pytest.raises(ValueError, match="range of every camera"):
-        small("Mono").training_terms(
+        small("Mono").weighted_losses(
             torch.rand(1, 6, 3, 36, 64), (rig,), torch.ones(1, 12, 48), None, torch.Generator()
         )
 

@@ -128,7 +128,7 @@ def test_the_height_of_the_road_is_an_input_that_half_of_the_training_lacks(smal
     model.sweep = lambda features, present, rig: told.append(rig.road_z_m) or sweep(features, present, rig)
     for seed in range(40):
         generator = torch.Generator().manual_seed(seed)
-        model.training_terms(images, (replace(rig, road_z_m=-1.0),), torch.full((1, 12, 48), 5.0), None, generator)
+        model.weighted_losses(images, (replace(rig, road_z_m=-1.0),), torch.full((1, 12, 48), 5.0), None, generator)
     assert set(told) == {None, -1.0}
     assert 8 < told.count(None) < 32
 

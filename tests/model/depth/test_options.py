@@ -124,7 +124,7 @@ def test_mirroring_follows_the_generator_and_not_the_global_state(name, small, r
     def terms(flip, global_seed):
         torch.manual_seed(global_seed)
         with torch.no_grad():
-            return model.training_terms(images, (rig,), erp_m, camera_m, drawing(flip))
+            return model.weighted_losses(images, (rig,), erp_m, camera_m, drawing(flip))
 
     assert terms(True, 0) == terms(True, 1)
     assert terms(False, 0) == terms(False, 1)
@@ -136,7 +136,7 @@ def test_mirroring_follows_the_generator_and_not_the_global_state(name, small, r
 def test_every_parameter_learns(name, flip, small, rig):
     model, rigs = small(name, mirror=True), (rig, rig)
     images, (erp_m, camera_m) = images_of(rigs), targets(rigs)
-    terms = model.training_terms(images, rigs, erp_m, camera_m, drawing(flip))
+    terms = model.weighted_losses(images, rigs, erp_m, camera_m, drawing(flip))
     sum(terms.values()).backward()
     assert all(term.ndim == 0 and term.isfinite() for term in terms.values())
     silent = [key for key, value in model.named_parameters() if value.grad is None or not value.grad.any()]
@@ -148,9 +148,9 @@ def test_losses_of_a_mixed_batch_are_means_over_samples(name, small, rig, make_r
     rigs = (rig, make_ring(6, radius_m=1.2), rig)
     images, model, (erp_m, camera_m) = images_of(rigs), small(name), targets(rigs)
     with torch.no_grad():
-        together = model.training_terms(images, rigs, erp_m, camera_m, drawing(flip=False))
+        together = model.weighted_losses(images, rigs, erp_m, camera_m, drawing(flip=False))
         single = [
-            model.training_terms(
+            model.weighted_losses(
                 images[k : k + 1], rigs[k : k + 1], erp_m[k : k + 1], camera_m[k : k + 1], drawing(flip=False)
             )
             for k in range(3)
@@ -167,7 +167,7 @@ def test_training_reduces_the_error(name, small, rig):
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
     losses, generator = [], torch.Generator().manual_seed(0)
     for _ in range(15):
-        loss = sum(model.training_terms(images, (rig,), erp_m, camera_m, generator).values())
+        loss = sum(model.weighted_losses(images, (rig,), erp_m, camera_m, generator).values())
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

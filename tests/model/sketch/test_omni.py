@@ -39,8 +39,10 @@ class FakeDepth(nn.Module):
         return Seen(self.scale * base, base < 15)
 
 
-def make(geometry, threshold: float | None = 0.5, fraction=None, windows=(0, 0, 0), behind_m=0.0):
-    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, fraction, windows, [8.5, 17.0], behind_m)
+def make(geometry, threshold: float | None = 0.5, fraction=None, windows=(0, 0, 0), dilation_behind_m=0.0):
+    return Omni(
+        geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, fraction, windows, [8.5, 17.0], dilation_behind_m
+    )
 
 
 def scene(batch=2):
@@ -71,7 +73,7 @@ def test_the_class_shows_whether_it_learns_and_its_selection():
 def test_forward_is_depth_then_logits_then_select(geometry, fisheye):
     sketch = make(geometry).eval()
     truth = torch.rand(2, 12, 24) * 20 + 1
-    expected = sketch.select(sketch.logits(2 * truth, truth < 15))
+    expected = sketch.candidates(sketch.logits(2 * truth, truth < 15))
     assert torch.equal(sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), truth).candidates, expected)
 
 
@@ -103,7 +105,7 @@ def test_ranges_of_invalid_pixels_are_ignored(geometry):
 
 def test_a_panorama_without_a_valid_pixel(geometry):
     sketch = make(geometry)
-    terms = sketch.training_terms(*(scene()[0], torch.zeros(2, 12, 24, dtype=torch.bool)), labels(geometry))
+    terms = sketch.weighted_losses(*(scene()[0], torch.zeros(2, 12, 24, dtype=torch.bool)), labels(geometry))
     assert all(term.isfinite() for term in terms.values())
     sum(terms.values()).backward()
     grads = [p.grad for p in sketch.parameters() if p.grad is not None]
@@ -113,7 +115,7 @@ def test_a_panorama_without_a_valid_pixel(geometry):
 
 def test_gradients_reach_every_parameter_but_those_of_depth(geometry):
     sketch = make(geometry)
-    terms = sketch.training_terms(*scene(), labels(geometry))
+    terms = sketch.weighted_losses(*scene(), labels(geometry))
     assert set(terms) == {"ce", "lovasz"}
     sum(terms.values()).backward()
     for name, parameter in sketch.named_parameters():
@@ -141,7 +143,7 @@ def test_unknown_voxels_do_not_count(geometry):
     sketch = make(geometry)
     range_m, valid = scene()
     voxels = torch.full((2, *geometry.shape), 255, dtype=torch.uint8)
-    assert all(term == 0 for term in sketch.training_terms(range_m, valid, voxels).values())
+    assert all(term == 0 for term in sketch.weighted_losses(range_m, valid, voxels).values())
     assert occupancy(torch.tensor([[[[0, 1, 11, 255]]]], dtype=torch.uint8)).flatten().tolist() == [0, 1, 1, 255]
 
 
@@ -153,7 +155,7 @@ def test_cross_entropy_by_hand():
     logits = sketch.logits(range_m, valid).detach().double().log_softmax(1)
     known = [(i, v) for i, v in enumerate(voxels.flatten().tolist()) if v != 255]
     expected = -sum(float(logits[0].flatten(1)[int(v > 0), i]) for i, v in known) / len(known)
-    assert sketch.training_terms(range_m, valid, voxels)["ce"].item() == pytest.approx(expected, rel=1e-4)
+    assert sketch.weighted_losses(range_m, valid, voxels)["ce"].item() == pytest.approx(expected, rel=1e-4)
 
 
 def test_learns_to_find_occupied_voxels():
@@ -167,9 +169,9 @@ def test_learns_to_find_occupied_voxels():
     optimizer = torch.optim.Adam([p for p in sketch.parameters() if p.requires_grad], lr=1e-2)
     for _ in range(40):
         optimizer.zero_grad()
-        sum(sketch.training_terms(range_m, valid, voxels).values()).backward()
+        sum(sketch.weighted_losses(range_m, valid, voxels).values()).backward()
         optimizer.step()
-    found = sketch.select(sketch.logits(range_m, valid))
+    found = sketch.candidates(sketch.logits(range_m, valid))
     assert torch.equal(found, voxels > 0)
 
 
@@ -177,21 +179,21 @@ def test_fraction_is_exact_and_dilation_comes_after(geometry):
     plain = make(geometry, None, 0.2)
     range_m, valid = scene()
     logits = plain.logits(range_m, valid)
-    candidates = plain.select(logits)
+    candidates = plain.candidates(logits)
     assert candidates.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
     step_m = geometry.radial_step_m
     wide = make(geometry, None, 0.2, (0, step_m, 2 * step_m))
-    assert torch.equal(wide.choose(logits), candidates)
-    assert torch.equal(wide.select(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
-    assert wide.select(logits).sum() > candidates.sum()
-    thick = make(geometry, None, 0.2, behind_m=1.6 * step_m)
-    assert torch.equal(thick.select(logits), geometry.dilate(candidates, (0, 0, 0), (8.5, 17.0), behind=2))
+    assert torch.equal(wide.above_threshold(logits), candidates)
+    assert torch.equal(wide.candidates(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
+    assert wide.candidates(logits).sum() > candidates.sum()
+    thick = make(geometry, None, 0.2, dilation_behind_m=1.6 * step_m)
+    assert torch.equal(thick.candidates(logits), geometry.dilate(candidates, (0, 0, 0), (8.5, 17.0), behind=2))
 
 
 def test_threshold_is_that_of_the_probability(geometry):
     sketch = make(geometry, 0.3)
     logits = torch.randn(2, 2, *geometry.shape)
-    assert torch.equal(sketch.select(logits), logits.softmax(1)[:, 1] >= 0.3)
+    assert torch.equal(sketch.candidates(logits), logits.softmax(1)[:, 1] >= 0.3)
 
 
 @pytest.mark.parametrize(("threshold", "fraction"), [(None, None), (0.5, 0.2)])
@@ -221,7 +223,7 @@ def test_windows_that_do_not_fit_are_named():
 
 def test_the_threshold_itself_is_chosen():
     logits = torch.tensor([[0.0, 0.0], [0.0, -0.1], [0.0, 0.1]]).T.reshape(1, 2, 3, 1, 1)
-    assert make(Cylinder((8, 12, 4)), 0.5).choose(logits).flatten().tolist() == [True, False, True]
+    assert make(Cylinder((8, 12, 4)), 0.5).above_threshold(logits).flatten().tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize(("fraction", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
@@ -243,10 +245,10 @@ def test_fraction_takes_the_likeliest_of_each_sample():
 def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
     sketch = make(geometry)
     range_m, valid = scene()
-    sketched = sketch.hand_on(range_m, valid)
+    sketched = sketch.propose(range_m, valid)
     candidates, evidence = sketched.candidates, sketched.evidence()
     logits = sketch.logits(range_m, valid)
-    assert torch.equal(candidates, sketch.select(logits))
+    assert torch.equal(candidates, sketch.candidates(logits))
     expected = (logits[:, 1] - logits[:, 0]).clamp(-6.3, 6.3)
     assert float((evidence[:, 0] - expected).detach().abs().max()) <= 0.1 + 1e-5
     hit = sketch.points(pseudo_points(range_m, valid, PANORAMA))[1][:, 0] > 0

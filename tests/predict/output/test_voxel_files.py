@@ -7,7 +7,7 @@ import torch
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid
-from omniocc.predict import FramePrediction
+from omniocc.predict import PredictedFrame
 from omniocc.predict.output.ply import VERTEX
 from omniocc.predict.output.voxel_files import read_labels, read_voxels, voxel_arrays, write_mesh, write_voxels
 
@@ -15,10 +15,10 @@ GRID = Cuboid((4, 3, 2), (0.0, 8.0), (-3.0, 3.0), (-1.0, 1.0))
 CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (k, 2 * k, 255 - k)) for k in range(19)))
 
 
-def prediction() -> FramePrediction:
+def prediction() -> PredictedFrame:
     labels = torch.zeros(GRID.shape, dtype=torch.uint8)
     labels[1, 2, 0] = 18
-    return FramePrediction(labels, labels > 0, None)
+    return PredictedFrame(labels, labels > 0, None)
 
 
 def test_nineteen_classes_have_their_own_names_and_colours(tmp_path):

@@ -12,11 +12,11 @@ from omniocc.report.tables.claims import (
     Judged,
     Rows,
     claims_of,
-    verdicts_of,
     metric_of,
     names_in,
     pairs_of,
     planned_claims,
+    verdicts_of,
 )
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table

@@ -50,8 +50,8 @@ def test_equal_runs_of_a_seed_count_once_by_the_name_of_the_reference(ours):
 
 
 def test_runs_before_and_after_a_key_that_is_null_are_one_line(ours):
-    former = {key: value for key, value in ours.items() if key != "rate_factors"}
-    assert ours["rate_factors"] is None
+    former = {key: value for key, value in ours.items() if key != "lr_multipliers"}
+    assert ours["lr_multipliers"] is None
     (line,) = tried_cells([run("ours", 0, 0.2, ours), run("ours", 1, 0.4, former)], "ours")[1]
     assert line[3] == "2"
 
@@ -74,7 +74,7 @@ def test_runs_of_another_preset_are_left_out(ours):
         (["model/sketch=mono"], "model/depth=mono"),
         (["optimizer=adamw"], "optimizer=AdamW"),
         (["loss.weights.scal=0.5", "seed=3", "preset.channels=32"], "weights.scal=0.5"),
-        (["model.sketch.windows_m=[0,0,0]"], "sketch.windows_m=[0, 0, 0]"),
+        (["model.sketch.dilation_m=[0,0,0]"], "sketch.dilation_m=[0, 0, 0]"),
     ],
 )
 def test_changes_name_exchanged_parts_and_new_values_once(overrides, named, ours):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
-from omniocc.errors import DataError, shortened, repr_of
+from omniocc.errors import DataError, repr_of, shortened
 from omniocc.images import read_mask
 from omniocc.io import number_of
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from omniocc.data.labels.counts import all_frames, count_classes, kept_counts
 from omniocc.data.labels.voxels import vote
-from omniocc.data.source import BenchmarkFrame, SceneFrames, Unknown, VoxelLabels
+from omniocc.data.source import BenchmarkFrame, Ignore, SceneFrames, VoxelLabels
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Grid, resample
 from omniocc.progress import Progress
@@ -19,7 +19,7 @@ from omniocc.progress import Progress
 class LabelledScene(SceneFrames, Protocol):
     """A scene whose voxel labels come with the dataset."""
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "U V W"] | None:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "U V W"] | None:
         """Return the class of every cell of the dataset's grid, 255 unknown; None without labels."""
         ...
 
@@ -42,10 +42,10 @@ class LazyLabels(ABC):
     COUNTED: ClassVar[int]
     """Frames, evenly spread over the training scenes, from which class weights and the prior are computed."""
 
-    def __init__(self, folder: Path, fingerprint: str, geometry: Grid, num_classes: int, unknown: Unknown):
+    def __init__(self, folder: Path, fingerprint: str, geometry: Grid, num_classes: int, ignore: Ignore):
         self.folder, self.fingerprint, self.geometry = Path(folder), fingerprint, geometry
         self.num_classes = num_classes
-        self.unknown: Unknown = unknown
+        self.ignore: Ignore = ignore
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
         """Return at once: nothing is made before it is asked for."""
@@ -59,7 +59,7 @@ class LazyLabels(ABC):
         """Return in how many of at most `COUNTED` frames each cell has each class; kept on disk."""
         frames = all_frames(scenes)
         chosen = frames[:: max(1, -(-len(frames) // self.COUNTED))]
-        key = digest([self.fingerprint, repr(self.geometry), self.unknown, [scene.name for scene in scenes]])[:12]
+        key = digest([self.fingerprint, repr(self.geometry), self.ignore, [scene.name for scene in scenes]])[:12]
         shape = (self.num_classes, *self.geometry.shape)
 
         def count() -> Int64[Tensor, "C X Y Z"]:
@@ -83,13 +83,13 @@ class OwnGridLabels(LazyLabels):
 
     COUNTED = 1000
 
-    def __init__(self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, unknown: Unknown):
-        super().__init__(folder, fingerprint, geometry, num_classes, unknown)
+    def __init__(self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, ignore: Ignore):
+        super().__init__(folder, fingerprint, geometry, num_classes, ignore)
         self.own = own
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell of the model's grid; unknown outside of the dataset's."""
-        labels = cast(LabelledScene, scene).own_voxels(frame, self.unknown)
+        labels = cast(LabelledScene, scene).own_voxels(frame, self.ignore)
         return None if labels is None else resample(labels, self.own, self.geometry)
 
     def benchmark(self, scene: SceneFrames, frame: int) -> BenchmarkFrame | None:
@@ -104,7 +104,7 @@ class VotedLabels(LazyLabels):
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell, voted by its points."""
-        return vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+        return vote(scene, frame, self.geometry, self.ignore, self.num_classes)
 
     def benchmark(self, scene: SceneFrames, frame: int) -> None:
         """Return None: scores are computed on these voxels."""

@@ -17,7 +17,7 @@ from torch import Tensor
 from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.labels.counts import Frames, all_frames, count_classes, kept_counts
 from omniocc.data.labels.observed import OBSERVED_VERSION, observed
-from omniocc.data.source import SceneFrames, Unknown
+from omniocc.data.source import Ignore, SceneFrames
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
 from omniocc.data.store.zstd import decompress
@@ -32,12 +32,12 @@ VOTE_VERSION = 1
 Reach = tuple[float, float, float]
 """Distances from the ego origin along x, y and z, m."""
 MEMBER = "voxels.zst"
-VOTED: tuple[Unknown, ...] = ("free", "unobserved")
+VOTED: tuple[Ignore, ...] = ("none", "unobserved")
 """The labels that cells without points can have."""
 
 
 def vote(
-    scene: SceneFrames, frame: int, geometry: Grid, unknown: Unknown = "free", num_classes: int = NUM_CLASSES
+    scene: SceneFrames, frame: int, geometry: Grid, ignore: Ignore = "none", num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, "X Y Z"]:
     """Return the label of every cell of one frame, voted by its points.
 
@@ -51,7 +51,7 @@ def vote(
             "the scene serves predict.py, not training"
         )
     cells = geometry.voxelize(torch.from_numpy(points.points_m), torch.from_numpy(points.labels), num_classes)
-    if unknown == "unobserved":
+    if ignore == "unobserved":
         cells[observed(scene, frame, geometry) == 0] = UNKNOWN
     return cells
 
@@ -85,21 +85,21 @@ class VoxelCache:
         self,
         folder: Path,
         geometry: Grid,
-        unknown: Unknown = "free",
+        ignore: Ignore = "none",
         fingerprint: str = "",
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
         masks: Sequence[str] = (),
         reach_m: Reach | None = None,
     ):
-        if unknown not in VOTED:
-            raise UserError(f"data.unknown={unknown}: choose {' or '.join(VOTED)}")
+        if ignore not in VOTED:
+            raise UserError(f"data.ignore={ignore}: choose {' or '.join(VOTED)}")
         self.beyond = None if reach_m is None else cells_beyond(geometry, reach_m)
-        labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION, *masks]
+        labelling = [] if ignore == "none" else [ignore, OBSERVED_VERSION, *masks]
         labelling += [] if self.beyond is None else [list(reach_m or ())]
         self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
-        self.unknown: Unknown = unknown
+        self.ignore: Ignore = ignore
         self.fingerprint = fingerprint
         self.num_classes = num_classes
         self.workers = workers
@@ -157,7 +157,7 @@ class VoxelCache:
             return False
 
     def _vote(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
-        cells = vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+        cells = vote(scene, frame, self.geometry, self.ignore, self.num_classes)
         return cells if self.beyond is None else cells.masked_fill(self.beyond, UNKNOWN)
 
     def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
@@ -170,4 +170,4 @@ class VoxelCache:
                 cells = self._vote(scene, frame).contiguous().numpy()
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
-            writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.unknown})
+            writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.ignore})

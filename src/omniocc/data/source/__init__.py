@@ -19,15 +19,15 @@ from rayiou.directions import RayOrigins
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
-Unknown = Literal["free", "unobserved", "unseen"]
-"""The label of a cell without points: free, as in the paper, or unknown (255) unless a sensor saw through it; with
-`unseen` every cell that no camera sees is unknown, which only some datasets tell."""
+Ignore = Literal["none", "unobserved", "unseen"]
+"""Which cells without points losses and scores ignore (255): none, all are free as in the paper; those that no ray of a
+sensor crossed; or, where a dataset tells it, all cells that no camera sees."""
 
 
-def refuse_unseen(unknown: Unknown, remedy: str = "choose free or unobserved") -> None:
+def refuse_unseen(ignore: Ignore, remedy: str = "choose none or unobserved") -> None:
     """Raise UserError for `unseen`, where a dataset has no mask of what the cameras see."""
-    if unknown == "unseen":
-        raise UserError(f"data.unknown=unseen: there is no mask of what cameras see; {remedy}")
+    if ignore == "unseen":
+        raise UserError(f"data.ignore=unseen: there is no mask of what cameras see; {remedy}")
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ class SceneSource(Protocol):
         """Return the scenes of a split, in order, after `prepare`; raise DataError when one is missing."""
         ...
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> VoxelLabels:
         """Return the voxel labels of a grid.
 
         Raises:

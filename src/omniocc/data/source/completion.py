@@ -163,7 +163,7 @@ def numbering_of(files: Sequence[tuple[CompletionScene, int, Path]]) -> Numberin
     for scene, frame, path in files:
         ids = read_array(path, "<u2", SHAPE)
         found |= set(np.unique(ids).tolist())
-        labels = scene.own_voxels(frame, "free") if scene.cells_up else None
+        labels = scene.own_voxels(frame, "none") if scene.cells_up else None
         if labels is not None:
             for up in agree:
                 agree[up] += overlap(moved_up(ids, up) > 0, labels.numpy())

@@ -29,7 +29,7 @@ from omniocc.data.formats.kitti360 import (
     scan_file,
     velodyne_pose,
 )
-from omniocc.data.formats.poses import inverse, transform_points, shift
+from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
 from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
 from omniocc.data.labels.voxels import vote
@@ -37,11 +37,11 @@ from omniocc.data.source import (
     SPLITS,
     Benchmark,
     BenchmarkFrame,
+    Ignore,
     Points,
     SceneFrames,
     SourceSpec,
     Split,
-    Unknown,
     refuse_unseen,
 )
 from omniocc.data.store.shard import digest
@@ -78,7 +78,7 @@ class KITTI360:
             leave traces.
         volume: `shape` (cells along x, y, z) and `cell_m` of a volume with the ego origin in its middle, as OccTrack360
             has: labels are voted and scored in it. None: in the grid of the model.
-        masks: which cells of the volume count in scores, and are known with `unknown=unseen`: those in the
+        masks: which cells of the volume count in scores, and are known with `ignore=unseen`: those in the
             field_of_view of the cameras, those that are ray_traced, or both (`omniocc.data.labels.visible`).
         image_width: of the images that the model gets, px; the height follows, a multiple of 8.
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
@@ -148,7 +148,7 @@ class KITTI360:
         """Return the sequences of a split."""
         return [KITTI360Scene(name, self) for name in self.sequences[split]]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VotedLabels | OwnGridLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> VotedLabels | OwnGridLabels:
         """Return voxels voted by the accumulated points when they are asked for; with a volume first in its grid.
 
         Raises:
@@ -156,11 +156,11 @@ class KITTI360:
         """
         if self.volume is None or not self.masks:
             volume = "data.source.volume='{shape:[256,256,32],cell_m:0.2}'"
-            refuse_unseen(unknown, f"choose free or unobserved, or a volume with masks, such as {volume}")
+            refuse_unseen(ignore, f"choose none or unobserved, or a volume with masks, such as {volume}")
         classes = OCCUPANCY_CLASSES.num_classes
         if self.volume is None:
-            return VotedLabels(self.folder, self.fingerprint, geometry, classes, unknown)
-        return OwnGridLabels(self.folder, self.fingerprint, self.volume, geometry, classes, unknown)
+            return VotedLabels(self.folder, self.fingerprint, geometry, classes, ignore)
+        return OwnGridLabels(self.folder, self.fingerprint, self.volume, geometry, classes, ignore)
 
     @cached_property
     def in_view(self) -> Bool[Tensor, "X Y Z"]:
@@ -246,15 +246,15 @@ class KITTI360Scene(DatasetScene):
         all_m = np.concatenate(found)
         return Points(all_m, np.ones(len(all_m), np.uint8))
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell of the volume; with `unseen` unknown where a mask leaves it out."""
         assert self.source.volume is not None
-        voxels = vote(cast(SceneFrames, self), frame, self.source.volume, "free" if unknown == "unseen" else unknown, 2)
-        return voxels.masked_fill(~self.seen(voxels), UNKNOWN) if unknown == "unseen" else voxels
+        voxels = vote(cast(SceneFrames, self), frame, self.source.volume, "none" if ignore == "unseen" else ignore, 2)
+        return voxels.masked_fill(~self.seen(voxels), UNKNOWN) if ignore == "unseen" else voxels
 
     def benchmark(self, frame: int) -> BenchmarkFrame:
         """Return the voxels of the volume, of which those count that no mask leaves out."""
-        voxels = self.own_voxels(frame, "free")
+        voxels = self.own_voxels(frame, "none")
         return BenchmarkFrame(voxels, self.seen(voxels))
 
     def seen(self, voxels: UInt8[Tensor, "X Y Z"]) -> Bool[Tensor, "X Y Z"]:

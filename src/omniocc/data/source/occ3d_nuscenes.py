@@ -26,9 +26,9 @@ from omniocc.data.formats.files import (
 )
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.nuscenes import CAMERAS, KeyFrames, is_validation, read_key_frames
-from omniocc.data.formats.poses import inverse, transform_points, shift
+from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
+from omniocc.data.source import Benchmark, BenchmarkFrame, Ignore, SourceSpec, Split
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Cuboid, Grid
 from omniocc.io import atomic_write
@@ -175,9 +175,9 @@ class Occ3DNuScenes:
         test = [name for name in self.index.names if is_validation(name)]
         return {"train": [name for name in training if name not in chosen], "val": chosen, "test": test}
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
         """Return the labels of Occ3D in a grid: `unobserved` cells no LiDAR ray met, `unseen` cells no camera sees."""
-        return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, CLASSES.num_classes, unknown)
+        return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, CLASSES.num_classes, ignore)
 
     def _read_tables(self) -> dict[str, KeyFrames]:
         return read_key_frames(Path(self.root, self.version))
@@ -242,12 +242,12 @@ class Occ3DScene(DatasetScene):
         kept = outside(points_m, *OWN_CAR_M)
         return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell of Occ3D's grid."""
         content = self._content(frame)
         labels = torch.from_numpy(content["semantics"])
-        masks = {"free": None, "unobserved": "mask_lidar", "unseen": "mask_camera"}
-        mask = masks[unknown]
+        masks = {"none": None, "unobserved": "mask_lidar", "unseen": "mask_camera"}
+        mask = masks[ignore]
         return labels if mask is None else labels.masked_fill(torch.from_numpy(content[mask] == 0), UNKNOWN)
 
     def benchmark(self, frame: int) -> BenchmarkFrame:

@@ -14,7 +14,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable
 from omniocc.data.formats.dataset_scene import DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
+from omniocc.data.source import SPLITS, BenchmarkFrame, Ignore, SourceSpec, Split, refuse_unseen
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Cuboid, Grid
 
@@ -92,14 +92,14 @@ class OwnGridSource(ABC, Generic[Scene]):
         """Return the names of the sequences of a split."""
         return self.sequences[split]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
         """Return the voxels in a grid; what `unobserved` adds to the benchmark's unknown cells, the scenes tell.
 
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        refuse_unseen(unknown)
-        return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, self.classes.num_classes, unknown)
+        refuse_unseen(ignore)
+        return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, self.classes.num_classes, ignore)
 
     @cached_property
     def all_scenes(self) -> dict[str, Scene]:
@@ -126,7 +126,7 @@ class OwnGridScene(DatasetScene):
         """Return the cameras, the same in every frame."""
 
     @abstractmethod
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"] | None:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell; None where labels are secret."""
 
     def __len__(self) -> int:
@@ -139,7 +139,7 @@ class OwnGridScene(DatasetScene):
 
     def benchmark(self, frame: int) -> BenchmarkFrame | None:
         """Return the voxels; all count that are not unknown. None where labels are secret."""
-        voxels = self.own_voxels(frame, "free")
+        voxels = self.own_voxels(frame, "none")
         return None if voxels is None else BenchmarkFrame(voxels)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from omniocc.camera import Rig
 from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
-from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.meta import DRAWN_RIG, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
@@ -116,7 +116,7 @@ class Recorded:
                         "all scenes of data.source.root must agree: leave this one out of data.source.splits"
                     )
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
+    def labels(self, geometry: Grid, ignore: Ignore) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
         classes, known = self.spec.classes.num_classes, {reach_of(scene) for scene in self._readers}
         reach_m = next((reach for reach in known if reach is not None), None)
@@ -125,7 +125,7 @@ class Recorded:
                 f"{self.root}: points of rendered scenes end at {reach_m[0]:g} m, those of logs do not, and this grid "
                 "reaches farther: choose scenes of one kind by data.source.splits, or a smaller grid"
             )
-        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers, self._masks, reach_m)
+        return VoxelCache(self.folder, geometry, ignore, self.fingerprint, classes, self.workers, self._masks, reach_m)
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""
@@ -163,10 +163,10 @@ def reach_of(scene: SceneFolder) -> Reach | None:
     return RENDERED_REACH_M if "theme" in scene.meta.get("facts", {}) else None
 
 
-def votes_of(scene: SceneReader, geometry: Grid, unknown: Unknown) -> VoxelCache:
+def votes_of(scene: SceneReader, geometry: Grid, ignore: Ignore) -> VoxelCache:
     """Return the labels of a recorded scene in a grid; those that are not kept beside it are voted, and not kept."""
     classes = spec_of(scene).classes.num_classes
-    return VoxelCache(Path(scene.folder).parent, geometry, unknown, num_classes=classes, reach_m=reach_of(scene))
+    return VoxelCache(Path(scene.folder).parent, geometry, ignore, num_classes=classes, reach_m=reach_of(scene))
 
 
 def split_scenes(splits: Splits, available: Sequence[str], root: str) -> dict[Split, list[str]]:

@@ -26,7 +26,7 @@ from omniocc.data.formats.kitti import (
     read_poses,
 )
 from omniocc.data.formats.poses import rigid
-from omniocc.data.source import Split, Unknown
+from omniocc.data.source import Ignore, Split
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where, voxel_grid
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
@@ -208,7 +208,7 @@ class KittiSequence(CompletionScene):
                 labels = read_point_classes(self._file("labels", frame, "label"), self.table, kept)
         return Cloud(points, labels, np.zeros(3))
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"] | None:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell; invalid ones are unknown, as the benchmark has it.
 
         With `unobserved` free cells that the first scan could not see are unknown too. None where labels are secret.
@@ -218,7 +218,7 @@ class KittiSequence(CompletionScene):
         with self.naming(frame):
             labels = self.voxels_of(self._file("voxels", frame, "label"))
             cells = read_mask(self._file("voxels", frame, "invalid"))
-            if unknown == "unobserved":
+            if ignore == "unobserved":
                 cells = cells | (read_mask(self._file("voxels", frame, "occluded")) & (labels == 0))
         return unknown_where(labels, cells)
 

@@ -19,7 +19,7 @@ from omniocc.data.formats.files import check_root, class_table, map_classes, rea
 from omniocc.data.formats.kitti import read_point_ids
 from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
+from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, Ignore, SourceSpec, Split, refuse_unseen
 from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
@@ -117,14 +117,14 @@ class CarlaSC:
         found = sorted(path for path in folder.iterdir() if (path / self.coordinates).is_dir())
         return [CarlaSCScene(path / self.coordinates, f"{split}-{path.name}", self) for path in found]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
         """Return the voxels in a grid; with `unobserved` cells are unknown that no ray has met.
 
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        refuse_unseen(unknown)
-        return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, CLASSES.num_classes, unknown)
+        refuse_unseen(ignore)
+        return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, CLASSES.num_classes, ignore)
 
 
 class CarlaSCScene(DatasetScene):
@@ -196,10 +196,10 @@ class CarlaSCScene(DatasetScene):
     def pixel_labels(self, frame: int) -> None:
         """Return None: there are no cameras."""
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell; free ones that no ray has met are unknown unless `unknown` is free."""
         labels, seen = self._voxels(frame)
-        return torch.from_numpy(np.where(seen | (unknown == "free"), labels, UNKNOWN).astype(np.uint8))
+        return torch.from_numpy(np.where(seen | (ignore == "none"), labels, UNKNOWN).astype(np.uint8))
 
     def benchmark(self, frame: int) -> BenchmarkFrame:
         """Return the voxels, of which only those count that a ray has met."""

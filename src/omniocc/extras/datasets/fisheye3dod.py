@@ -17,9 +17,9 @@ from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, WORLD_CLASSES
 from omniocc.data.formats.dataset_scene import Cloud, DatasetScene, outside
 from omniocc.data.formats.files import check_root, read_image, scaled_size
-from omniocc.data.formats.poses import inverse, moved
+from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.data.labels.own_grid import VotedLabels
-from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown, refuse_unseen
+from omniocc.data.source import SPLITS, Ignore, Points, SourceSpec, Split, refuse_unseen
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.extras.carla_tags import class_table, tags_of
@@ -146,14 +146,14 @@ class Fisheye3DOD:
         """Return the recordings of the towns of a split."""
         return [Fisheye3DODScene(path, self) for town in self.towns[split] for path in self.recordings.get(town, [])]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VotedLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> VotedLabels:
         """Return voxels voted by the accumulated points when they are asked for.
 
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        refuse_unseen(unknown)
-        return VotedLabels(self.folder, self.fingerprint, geometry, WORLD_CLASSES.num_classes, unknown)
+        refuse_unseen(ignore)
+        return VotedLabels(self.folder, self.fingerprint, geometry, WORLD_CLASSES.num_classes, ignore)
 
     @cached_property
     def camera(self) -> Camera:
@@ -237,7 +237,7 @@ class Fisheye3DODScene(DatasetScene):
                 points_m, classes = self._scan(other)
                 kept = np.ones(len(classes), bool) if other == number else ~np.isin(classes, MOVING)
                 here = inverse(self._pose(number)) @ self._pose(other)
-                points.append(moved(here, points_m[kept]).astype(np.float32))
+                points.append(transform_points(here, points_m[kept]).astype(np.float32))
                 labels.append(classes[kept])
         return Points(np.concatenate(points), np.concatenate(labels))
 

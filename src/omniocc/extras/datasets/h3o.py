@@ -19,7 +19,7 @@ from omniocc.camera import Equirectangular, Panoramic, Rig
 from omniocc.camera.pose import pose_from_angles
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import check_root, load_npy, map_classes, read_image, read_npy, read_text, scaled_size
-from omniocc.data.source import SPLITS, Benchmark, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, mirrored, standing
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
@@ -215,9 +215,9 @@ class H3OScene(OwnGridScene):
         """Return the panorama of ranges; None where the sequence has no depth."""
         return self._range_m(frame, self.panorama)
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell. There is no mask, so `unknown` changes nothing."""
-        del unknown
+        del ignore
         with self.naming(frame):
             path = self.folder / self.source.voxels / f"{self.numbers[frame]}.npy"
             classes = map_classes(read_npy(path, self.source.shape), TABLE, path)

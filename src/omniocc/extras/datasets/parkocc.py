@@ -30,7 +30,7 @@ from omniocc.data.formats.files import (
     scaled_size,
 )
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
+from omniocc.data.source import Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
 from omniocc.errors import DataError
 from omniocc.extras.datasets.ocam import read_ocam
@@ -193,9 +193,9 @@ class ParkOccScene(OwnGridScene):
             points, _ = read_scan(self.scans / name / f"pc_{name}.bin", 4)
         return Cloud(points, None, np.zeros(3))
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "200 200 32"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "200 200 32"]:
         """Return the class of every cell. There is no mask, so `unknown` changes nothing."""
-        del unknown
+        del ignore
         name = self.numbers[frame]
         with self.naming(frame):
             return torch.from_numpy(dense_voxels(self.folder / name / f"occ_{name}.npy"))

@@ -20,8 +20,8 @@ from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_cloud
 from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import check_root, map_classes, read_image, read_npy, scaled_size
-from omniocc.data.formats.poses import inverse, moved, rigid
-from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
+from omniocc.data.formats.poses import inverse, rigid, transform_points
+from omniocc.data.source import Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, standing
 from omniocc.errors import DataError
 from omniocc.extras.datasets.ocam import read_ocam
@@ -183,11 +183,11 @@ class QuadOccScene(OwnGridScene):
             return None
         with self.naming(frame):
             points_m = read_cloud(self.folder / "lidar" / f"{self.numbers[frame]}.pcd").points_m
-        return Cloud(moved(self.source.ego_from_lidar, points_m).astype(np.float32), None, np.zeros(3))
+        return Cloud(transform_points(self.source.ego_from_lidar, points_m).astype(np.float32), None, np.zeros(3))
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "64 64 8"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "64 64 8"]:
         """Return the class of every cell; 255 is what has no label that counts. There is no mask for `unknown`."""
-        del unknown
+        del ignore
         with self.naming(frame):
             path = self.folder / "voxel_final" / f"{self.numbers[frame]}.npy"
             return torch.from_numpy(map_classes(read_npy(path, SHAPE), TABLE, path))

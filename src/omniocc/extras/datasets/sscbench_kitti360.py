@@ -31,7 +31,7 @@ from omniocc.data.formats.kitti360 import (
     velodyne_pose,
 )
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.source import Split, Unknown
+from omniocc.data.source import Ignore, Split
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
@@ -224,7 +224,7 @@ class SSCBenchSequence(CompletionScene):
             points, _ = read_scan(path, 4)
         return Cloud(points, None, np.zeros(3))
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+    def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell; invalid ones are unknown, as the benchmark has it."""
         number = self.numbers[frame]
         path = self.folder / "voxels" / f"{number:06d}.label"

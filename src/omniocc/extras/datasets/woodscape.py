@@ -25,7 +25,7 @@ from omniocc.data.formats.files import (
 )
 from omniocc.data.formats.poses import quaternion_pose, shift
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
@@ -109,9 +109,9 @@ class WoodScape:
         first, last = (round(part * len(self.names)) for part in (before, before + self.fractions[split]))
         return [WoodScapeImage(name, self) for name in self.names[first:last]]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
         """Return labels that are always None: there are no voxels."""
-        return OwnGridLabels(self.folder, self.fingerprint, geometry, geometry, CLASSES.num_classes, unknown)
+        return OwnGridLabels(self.folder, self.fingerprint, geometry, geometry, CLASSES.num_classes, ignore)
 
 
 class WoodScapeImage(DatasetScene):
@@ -155,7 +155,7 @@ class WoodScapeImage(DatasetScene):
             classes = map_classes(ids.astype(np.int64), TABLE, path)
         return [cv2.resize(classes, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST_EXACT)]
 
-    def own_voxels(self, frame: int, unknown: Unknown) -> None:
+    def own_voxels(self, frame: int, ignore: Ignore) -> None:
         """Return None: there are no voxels."""
 
     def benchmark(self, frame: int) -> None:

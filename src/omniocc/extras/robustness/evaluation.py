@@ -157,7 +157,7 @@ class RobustnessTest:
         if changes and isinstance(source, MadeScenes) and source.missing():
             print(f"test scenes are rendered with {' '.join(f'{key}={value}' for key, value in changes.items())}")
         source.prepare()
-        source.labels(self.data.geometry, self.data.unknown).prepare(source.scenes("test"))
+        source.labels(self.data.geometry, self.data.ignore).prepare(source.scenes("test"))
         return source
 
     def run(self, parts: Sequence[Part], every: Sequence[Part], folder: Path) -> list[PartScores]:
@@ -193,12 +193,12 @@ class RobustnessTest:
         `data` is the fingerprint of the frames that it is tested on.
         """
         model = self.task.config["model"]
-        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.not_usual()])
+        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.unusual_overrides()])
 
-    def not_usual(self) -> list[Any]:
+    def unusual_overrides(self) -> list[Any]:
         """Return what is overridden besides the source and changes scores: unknown cells, the history, the bands."""
-        found, bands = [self.data.unknown, self.data.window], self.data.range_edges_m
-        usual = found == ["free", self.task.model.temporal.frames]
+        found, bands = [self.data.ignore, self.data.window], self.data.range_edges_m
+        usual = found == ["none", self.task.model.temporal.frames]
         return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)])
 
     @torch.inference_mode()
@@ -211,7 +211,7 @@ class RobustnessTest:
         recorded = self._scenes(source)
         scenes = [disturb_scene(scene, part.disturbance, part.name, self.seed) for scene in recorded]
         data, spec = self.data, self.data.spec
-        labels = source.labels(data.geometry, data.unknown)
+        labels = source.labels(data.geometry, data.ignore)
         needs = Needs(pixel_labels=False)
         windows = WindowDataset(scenes, labels, data.window, needs, spec.lidar_directions is None)
         loader = DataLoader(windows, 1, collate_fn=collate, **worker_options(data.num_workers))

@@ -12,7 +12,7 @@ from omniocc.geometry import Cylinder, Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.sequence import frame_name
 from omniocc.predict.options import choose_device
-from omniocc.predict.predictor import FramePrediction, Predictor
+from omniocc.predict.predictor import PredictedFrame, Predictor
 from omniocc.predict.trained import load
 from omniocc.progress import Progress
 from omniocc.train.scores import Scores
@@ -70,8 +70,8 @@ def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScene
     chosen = options.scene, options.frames, options.limit
     if options.recorded is None:
         return test_scenes(models[0].trained.data, *chosen, panorama)
-    unknown = models[0].trained.facts.unknown if models else "free"
-    return recorded_scenes(options.recorded, *chosen, unknown, panorama)
+    ignore = models[0].trained.facts.ignore if models else "none"
+    return recorded_scenes(options.recorded, *chosen, ignore, panorama)
 
 
 def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequence[Grid]) -> Iterator[ShownFrame]:
@@ -89,7 +89,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
 
 
 def _prediction(
-    model: TrainedModel, answer: tuple[FramePrediction, PixelLabels], truth: Batch | None, scores: Scores
+    model: TrainedModel, answer: tuple[PredictedFrame, PixelLabels], truth: Batch | None, scores: Scores
 ) -> FramePrediction:
     (labels, candidates, range_m), pixels = answer
     panorama = None if range_m is None else model.predictor.panorama

@@ -22,7 +22,7 @@ from omniocc.geometry import Grid
 from omniocc.model.ops.padded import to_unit_range
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.sequence import true_range_m
-from omniocc.predict.predictor import Input, FramePrediction, Predictor
+from omniocc.predict.predictor import Input, PredictedFrame, Predictor
 from omniocc.predict.trained import Trained
 from omniocc.train.scores import Scores
 
@@ -52,7 +52,7 @@ class TrainedModel:
         """Return the grid of the predictions."""
         return self.predictor.model.geometry
 
-    def predict(self, scene: SceneFrames, wanted: Sequence[int]) -> Iterator[tuple[FramePrediction, PixelLabels]]:
+    def predict(self, scene: SceneFrames, wanted: Sequence[int]) -> Iterator[tuple[PredictedFrame, PixelLabels]]:
         """Return the predictions for the wanted frames of a scene, each with the history that it has in a test.
 
         With them come the classes of the pixels (see `FramePrediction.pixel_labels`).

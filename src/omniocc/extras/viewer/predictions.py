@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
-from omniocc.data.source import Unknown
+from omniocc.data.source import Ignore
 from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
@@ -43,8 +43,8 @@ def open_predictions(options: ViewOptions) -> Shown:
     rig = load_rig(str(folder / OWN_RIG)) if (folder / OWN_RIG).is_file() else None
     road_z_m = next((spec_of(scene).road_z_m for scene in recorded.values()), rig and rig.road_z_m)
     interval_s = next((spec_of(scene).frame_interval_s for scene in recorded.values()), OWN_INTERVAL_S)
-    unknown: Unknown = facts.get("unknown") or "free"
-    read = partial(_frames, folder, frames, first, recorded, unknown, rig, own_frames(facts, rig))
+    ignore: Ignore = facts.get("ignore") or "none"
+    read = partial(_frames, folder, frames, first, recorded, ignore, rig, own_frames(facts, rig))
     return Shown(
         classes=first.classes,
         models=(folder.resolve().name,),
@@ -94,7 +94,7 @@ def _frames(
     frames: Sequence[tuple[str, str]],
     first: Voxels,
     recorded: Mapping[str, SceneReader],
-    unknown: Unknown,
+    ignore: Ignore,
     rig: Rig | None,
     own: Mapping[str, FrameFiles],
 ) -> Iterator[ShownFrame]:
@@ -105,7 +105,7 @@ def _frames(
         if voxels.geometry != first.geometry or voxels.classes != first.classes:
             raise UserError(f"{path} has another grid or other classes than the first frame")
         if scene in recorded:
-            yield _recorded(recorded[scene], int(name), voxels, model, unknown, scores)
+            yield _recorded(recorded[scene], int(name), voxels, model, ignore, scores)
         else:
             images = read_frame(own[name], rig) if rig is not None and name in own else []
             yield ShownFrame(
@@ -124,12 +124,12 @@ def _recorded(
     frame: int,
     voxels: Voxels,
     model: str,
-    unknown: Unknown,
+    ignore: Ignore,
     scores: Callable[[Grid, SceneReader], Scores],
 ) -> ShownFrame:
     """Return a predicted frame of a recorded scene, scored where there is truth; `unknown` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry
-    labels = partial(votes_of, scene, unknown=unknown)
+    labels = partial(votes_of, scene, ignore=ignore)
     scenes = ChosenScenes(spec, [(scene, [frame])], labels, None, scene.name, "")
     truth = scenes.truth(scene, frame, grid)
     figures = {} if truth is None else frame_figures(scores(grid, scene), voxels.labels, truth)

@@ -14,7 +14,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import has_labels
 from omniocc.data.dataset import Needs, WindowDataset, collate
-from omniocc.data.source import MadeScenes, SceneFrames, SourceSpec, Unknown, VoxelLabels
+from omniocc.data.source import Ignore, MadeScenes, SceneFrames, SourceSpec, VoxelLabels
 from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
@@ -93,7 +93,7 @@ def test_scenes(
         chosen = choose({name: len(one) for name, one in found.items()}, scene, frames, limit, str(source.folder))
 
     def labels(grid: Grid) -> VoxelLabels:
-        return source.labels(grid, data.unknown)
+        return source.labels(grid, data.ignore)
 
     pairs = [(found[name], wanted) for name, wanted in chosen.items()]
     return ChosenScenes(data.spec, pairs, labels, panorama, f"test scenes of {source.folder}", source.fingerprint)
@@ -104,7 +104,7 @@ def recorded_scenes(
     scene: str | None,
     frames: Sequence[int] | None,
     limit: int | None,
-    unknown: Unknown,
+    ignore: Ignore,
     panorama: Equirectangular | None,
 ) -> ChosenScenes:
     """Return the chosen frames of recorded scenes; voxels are voted when they are needed, and nothing is written.
@@ -118,13 +118,13 @@ def recorded_scenes(
     sequences = {sequence.name: sequence.scene for sequence in find_scenes(Path(folder), scene, None)}
     chosen = choose({name: len(one) for name, one in sequences.items()}, scene, frames, limit, folder)
     pairs = [(sequences[name], wanted) for name, wanted in chosen.items()]
-    return scenes_of(pairs, Path(folder), unknown, panorama)
+    return scenes_of(pairs, Path(folder), ignore, panorama)
 
 
 def scenes_of(
     pairs: Sequence[tuple[SceneReader, Sequence[int]]],
     folder: Path,
-    unknown: Unknown = "free",
+    ignore: Ignore = "none",
     panorama: Equirectangular | None = None,
 ) -> ChosenScenes:
     """Return scenes of a folder with the frames of each that are shown; arguments as in `recorded_scenes`.
@@ -137,7 +137,7 @@ def scenes_of(
         if spec_of(other).classes != spec.classes:
             raise UserError(f"recorded={folder}: '{other.name}' has other classes than '{pairs[0][0].name}'")
     checksums = digest(sorted([one.name, one.meta["files"]] for one, _ in pairs))
-    labels = partial(votes_of, pairs[0][0], unknown=unknown)
+    labels = partial(votes_of, pairs[0][0], ignore=ignore)
     return ChosenScenes(spec, pairs, labels, panorama, f"recorded scenes of {folder}", checksums)
 
 

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.hints import HINTS, rig_hints
-from omniocc.model.ops.depth.layers import PanoramaConv, FeatureNet, UNet2d
+from omniocc.model.ops.depth.layers import FeatureNet, PanoramaConv, UNet2d
 from omniocc.model.ops.depth.projection import (
     Projection,
     Sampler,
@@ -143,7 +143,7 @@ class OmniMVS(SphereNet):
             inputs.append(rig_hints(rig, self.swept, self.rig_spheres(rig)).to(either).expand(len(either), -1, -1, -1))
         return torch.cat(inputs, 1), either > 0
 
-    def training_terms(
+    def weighted_losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
         rigs: Rigs,
@@ -154,7 +154,7 @@ class OmniMVS(SphereNet):
         """Return weighted losses by name; with `hints`, half of the batches at random do not tell the road's height."""
         if self.hints and bool(torch.rand((), generator=generator) < UNTOLD):
             rigs = tuple(replace(rig, road_z_m=None) for rig in rigs)
-        return super().training_terms(images, rigs, erp_range_m, camera_range_m, generator)
+        return super().weighted_losses(images, rigs, erp_range_m, camera_range_m, generator)
 
     def _views(
         self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig

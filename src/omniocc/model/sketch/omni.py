@@ -57,16 +57,17 @@ class Omni(nn.Module):
         channels: of each level of the network, finest first; multiples of 8.
         threshold: smallest probability of candidates, above 0 and at most 1; None uses `fraction`.
         fraction: of cells that are candidates, the likeliest first, above 0 and at most 1; None uses `threshold`.
-        windows_m: distance by which candidates of each band are dilated towards and away from the z axis, rounded to
+        dilation_m: distance by which candidates of each band are dilated towards and away from the z axis, rounded to
             whole cells; 0: not at all.
         band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
-        behind_m: distance by which candidates are further widened, away from the z axis only, rounded to whole cells.
+        dilation_behind_m: distance by which candidates are further widened, away from the z axis only, rounded to whole
+            cells.
 
     Raises:
         ValueError: unless one of threshold and fraction is given and in range, or if sizes do not fit.
     """
 
-    SELECTION: ClassVar = ("threshold", "fraction", "windows_m", "band_edges_m", "behind_m")
+    SELECTION: ClassVar = ("threshold", "fraction", "dilation_m", "band_edges_m", "dilation_behind_m")
 
     place: Tensor
 
@@ -79,9 +80,9 @@ class Omni(nn.Module):
         channels: list[int],
         threshold: float | None,
         fraction: float | None,
-        windows_m: Sequence[float | int],
+        dilation_m: Sequence[float | int],
         band_edges_m: Sequence[float | int],
-        behind_m: float = 0.0,
+        dilation_behind_m: float = 0.0,
     ):
         super().__init__()
         if (threshold is None) == (fraction is None):
@@ -89,8 +90,8 @@ class Omni(nn.Module):
         limit = fraction if threshold is None else threshold
         if not 0 < limit <= 1:  # type: ignore[operator]
             raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
-        windows = [round(window_m / geometry.radial_step_m) for window_m in windows_m]
-        behind = round(behind_m / geometry.radial_step_m)
+        windows = [round(window_m / geometry.radial_step_m) for window_m in dilation_m]
+        behind = round(dilation_behind_m / geometry.radial_step_m)
         # raises ValueError unless they fit
         geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m, behind)
         assert isinstance(depth, nn.Module)
@@ -118,16 +119,16 @@ class Omni(nn.Module):
         """Return the candidates; true ranges are for a depth option that needs them."""
         with torch.no_grad():
             seen = self.depth(images, rigs, true_range_m)
-        return self.hand_on(seen.range_m, seen.valid)
+        return self.propose(seen.range_m, seen.valid)
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
         """Return scores of free and occupied for every cell from a panorama of ranges; invalid ranges are ignored."""
         return self._logits_and_sight(range_m, valid)[0]
 
-    def hand_on(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
+    def propose(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
         """Return candidates and evidence from a panorama of ranges; invalid ranges are ignored."""
         logits, sight = self._logits_and_sight(range_m, valid)
-        return Sketched(self.select(logits), pack_evidence(log_odds(logits), sight))
+        return Sketched(self.candidates(logits), pack_evidence(log_odds(logits), sight))
 
     def _logits_and_sight(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]
@@ -138,7 +139,7 @@ class Omni(nn.Module):
         logits = self.network(torch.cat([encoded, hit, gaps, place], dim=1))
         return logits, sight_of(hit[:, 0] > 0, known=gaps[:, 0], gap=gaps[:, 2])
 
-    def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+    def above_threshold(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""
         probability = logits.detach().float().softmax(1)[:, 1]
         if self.threshold is not None:
@@ -146,11 +147,11 @@ class Omni(nn.Module):
         assert self.fraction is not None
         return likeliest(probability, self.fraction)
 
-    def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+    def candidates(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates, dilated."""
-        return self.geometry.dilate(self.choose(logits), self.windows, self.band_edges_m, self.behind)
+        return self.geometry.dilate(self.above_threshold(logits), self.windows, self.band_edges_m, self.behind)
 
-    def training_terms(
+    def weighted_losses(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float32[Tensor, ""]]:
         """Return cross-entropy and Lovász loss of free against occupied; 255 is ignored."""

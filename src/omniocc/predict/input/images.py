@@ -95,7 +95,9 @@ def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
     for path, name in zip(paths, rig.names, strict=True):
         if not path.is_file() and name not in excluded:
             raise UserError(f"there is no image {path} (camera '{name}')")
-    return FrameFiles("", tuple(None if name in excluded else path for path, name in zip(paths, rig.names, strict=True)))
+    return FrameFiles(
+        "", tuple(None if name in excluded else path for path, name in zip(paths, rig.names, strict=True))
+    )
 
 
 def _named(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:

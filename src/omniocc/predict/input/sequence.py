@@ -14,7 +14,7 @@ from torch import Tensor
 from omniocc.batch import Truth
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
-from omniocc.data.source import SceneFrames, SourceSpec, Unknown
+from omniocc.data.source import Ignore, SceneFrames, SourceSpec
 from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.shard import META
@@ -61,7 +61,7 @@ class ImageSequence:
         """Return (H, W, 3) uint8 RGB of every camera."""
         return read_frame(self.frames[frame], self.rig)
 
-    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> None:
+    def truth(self, frame: int, geometry: Grid, ignore: Ignore) -> None:
         """Return None: no ground truth is available."""
 
     def true_range_m(self, frame: int) -> None:
@@ -120,12 +120,12 @@ class RecordedSequence:
         """Return whether the scene has points, from which the true voxels are voted."""
         return self.scene.has(POINTS)
 
-    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth | None:
+    def truth(self, frame: int, geometry: Grid, ignore: Ignore) -> Truth | None:
         """Return the ground truth of a frame; None if the scene has no points."""
         if not self.labelled:
             return None
         scan = self.scene.lidar(frame)
-        voxels = votes_of(self.scene, geometry, unknown).read(self.scene, frame)[None]
+        voxels = votes_of(self.scene, geometry, ignore).read(self.scene, frame)[None]
         if scan is None:
             return Truth(voxels)
         return Truth(voxels, torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])

@@ -17,7 +17,7 @@ from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
 from omniocc.predict.output.ply import ply_bytes
 from omniocc.predict.output.voxel_mesh import voxel_mesh
-from omniocc.predict.predictor import FramePrediction
+from omniocc.predict.predictor import PredictedFrame
 from rayiou.labels import ids_beyond
 
 VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
@@ -26,7 +26,7 @@ FRAME = "ego: x forward, y left, z up, metres, origin as in the rig file"
 
 
 def voxel_arrays(
-    prediction: FramePrediction, geometry: Grid, classes: ClassTable, world_from_ego: Float64[Tensor, "4 4"] | None
+    prediction: PredictedFrame, geometry: Grid, classes: ClassTable, world_from_ego: Float64[Tensor, "4 4"] | None
 ) -> dict[str, np.ndarray]:
     """Return by name all arrays that another program needs to place and name the voxels, the pose if it is known.
 

@@ -13,13 +13,13 @@ from omniocc.report.tables.claims import (
     Name,
     Rows,
     gap_by_seed,
-    verdicts_of,
     metric_of,
     name_of,
     p_cell,
     planned_claims,
     signed,
     title_of,
+    verdicts_of,
 )
 from omniocc.report.tables.formats import Part, exact
 from omniocc.report.tables.paper import PaperRow, PaperTable

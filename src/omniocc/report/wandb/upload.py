@@ -87,7 +87,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")
     options = parser.parse_args(arguments)
     log_report(options.runs / "report", options.project)
-    files = [path for path in pending_runs(options.runs) if whole_bytes(path.read_bytes())]  # killed at once: nothing in it
+    files = [
+        path for path in pending_runs(options.runs) if whole_bytes(path.read_bytes())
+    ]  # killed at once: nothing in it
     if not files:
         print(f"{options.runs}: nothing waits for upload")
         return

@@ -118,7 +118,9 @@ def check_boxes(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:
     for world_from_lidar, scan in scans_of(frame, classes):
         for sent in frame.actors:
             actor = actor_of(sent)
-            points = transform_points(inverse(actor.world_from_actor) @ world_from_lidar, scan.points_m[scan.actors == actor.id])
+            points = transform_points(
+                inverse(actor.world_from_actor) @ world_from_lidar, scan.points_m[scan.actors == actor.id]
+            )
             half = np.array(actor.size_m) / 2
             inside += int((np.abs(points - (0, 0, half[2])) < half + 0.2).all(axis=1).sum())
             count += len(points)

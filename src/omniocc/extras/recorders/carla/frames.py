@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
-from omniocc.data.formats.poses import inverse, transform_points, shift
+from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
 from omniocc.extras.recorders.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.extras.recorders.carla.sensors import Cube

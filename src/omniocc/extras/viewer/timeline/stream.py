@@ -22,7 +22,7 @@ from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import FrameFiles
 from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
 from omniocc.predict.job import Job
-from omniocc.predict.predictor import FramePrediction
+from omniocc.predict.predictor import PredictedFrame
 
 __all__ = ["RangeStream", "VoxelStream", "to_viewer"]
 MODEL = "prediction"
@@ -43,7 +43,7 @@ class VoxelStream:
         sequence: FrameSequence,
         frame: int,
         images: Sequence[np.ndarray],
-        prediction: FramePrediction,
+        prediction: PredictedFrame,
         truth: Truth | None,
     ) -> None:
         """Log one frame."""

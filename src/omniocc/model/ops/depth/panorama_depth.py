@@ -47,7 +47,7 @@ class PanoramaDepth(nn.Module):
 
 
 class DepthBatch(NamedTuple):
-    """Samples that a depth network learns from, as in `LearnedDepth.training_terms`, but without padding."""
+    """Samples that a depth network learns from, as in `LearnedDepth.weighted_losses`, but without padding."""
 
     images: Float[Tensor, "B N 3 H W"]
     rigs: Rigs
@@ -77,7 +77,7 @@ class LearnedPanoramaDepth(PanoramaDepth):
         """
         raise NotImplementedError
 
-    def training_terms(
+    def weighted_losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
         rigs: Rigs,
