@@ -40,10 +40,10 @@ def report(folder: Path, scenes: int) -> None:
     frame_ms, mib_ms = 1e3 * index_s / (10 * scenes), 1e3 * index_s / mib
     print(f"{'index':40} {frame_ms:8.2f} ms a key frame, {mib_ms:.1f} ms a MiB of tables")
     scene = source.scenes("test")[0]
-    labels = scene.own_voxels(0, "free")
+    labels = scene.own_voxels(0, "none")
     parts = {
         "six images of 160x90 px": lambda: scene.images(0),
-        "labels": lambda: scene.own_voxels(0, "free"),
+        "labels": lambda: scene.own_voxels(0, "none"),
         "labels, mask, origins": lambda: scene.benchmark(0),
         "ranges of six cameras": lambda: scene.camera_range_m(0),
         "panorama": lambda: scene.erp_range_m(0),

@@ -104,7 +104,7 @@ def main() -> None:
     chosen = parser.parse_args()
     kind = Cylinder if chosen.grid == "cylinder" else Cuboid
     grid = kind(chosen.shape) if chosen.shape else kind()
-    scenes = recorded_scenes(chosen.recorded, chosen.scene, None, chosen.frames, "free", None)
+    scenes = recorded_scenes(chosen.recorded, chosen.scene, None, chosen.frames, "none", None)
     shown = replace(show_scenes(scenes, (), (grid,)), models=(NAME,))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "view.html"

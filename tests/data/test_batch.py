@@ -12,7 +12,7 @@ from omniocc.data.dataset import WindowDataset, collate, pad_stack
 @pytest.fixture
 def data(tmp_path):
     source = FakeSource(str(tmp_path), with_lidar=True)
-    return WindowDataset(source.scenes("train"), source.labels(GRID, "free"), window=2, own_rays=True)
+    return WindowDataset(source.scenes("train"), source.labels(GRID, "none"), window=2, own_rays=True)
 
 
 @pytest.fixture

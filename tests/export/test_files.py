@@ -9,7 +9,7 @@ from omniocc.predict import TrainingData
 
 
 def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
-    facts = TrainingData(rig, "fisheye6", -2.2, WORLD_CLASSES, "free", 0.5)
+    facts = TrainingData(rig, "fisheye6", -2.2, WORLD_CLASSES, "none", 0.5)
     trained = SimpleNamespace(path=tmp_path / "best.ckpt", occupancy=None, facts=facts)
     instead = {
         "load": lambda _: trained,

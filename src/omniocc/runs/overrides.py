@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refused_key
+from omniocc.runs.renamed import new_key
 
 NEAREST_KEYS = 3
 LAST_OPTIMIZER = "stages.occupancy.optimizer"
@@ -55,6 +56,8 @@ def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     parent, _, last = key.rpartition(".")
     if parent == "trainer" and last in NOT_OF_TRAINER:
         return f"{key}: {NOT_OF_TRAINER[last]}"
+    if (new := new_key(key)) is not None:
+        return f"{key}: it is {new} now"
     close = nearest(key, groups if "/" in key else [*keys, *groups])
     if close:
         hint = f"; did you mean {' or '.join(close)}?"

@@ -45,13 +45,13 @@ def test_a_label_that_is_no_class_is_named():
 
 def test_the_counted_frames_are_spread_over_all_scenes(tmp_path):
     """Of nine frames every third one, since every second would be five, one too many."""
-    labels = CellLabels(tmp_path, "free")
+    labels = CellLabels(tmp_path, "none")
     assert labels.counts(SCENES).flatten().tolist() == [3, 0]
     assert labels.frames == [("scene0", 0), ("scene1", 0), ("scene2", 0)]
 
 
-@pytest.mark.parametrize("first", ["free", "unobserved"])
+@pytest.mark.parametrize("first", ["none", "unobserved"])
 def test_counts_are_kept_apart_by_what_unobserved_cells_are(tmp_path, first):
-    for unknown in (first, {"free": "unobserved", "unobserved": "free"}[first]):
+    for unknown in (first, {"none": "unobserved", "unobserved": "none"}[first]):
         counts = CellLabels(tmp_path, unknown).counts(SCENES)
         assert counts.flatten().tolist() == ([3, 0] if ignore == "none" else [0, 0])

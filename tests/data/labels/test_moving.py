@@ -75,8 +75,8 @@ def test_scenes_of_the_world_tell_what_moves_and_where_it_was_recorded(tmp_path)
     assert scan is not None
     moving = hits_of_moving(scan.range_m, scan.labels, scan.directions, frame.boxes)
     assert np.array_equal(scan.moving, moving)
-    dataset = WindowDataset([scene], world.labels(Cylinder((8, 12, 4)), "free"), 1)
-    world.labels(Cylinder((8, 12, 4)), "free").prepare([scene])
+    dataset = WindowDataset([scene], world.labels(Cylinder((8, 12, 4)), "none"), 1)
+    world.labels(Cylinder((8, 12, 4)), "none").prepare([scene])
     batch = collate([dataset[1], dataset[2]])
     assert batch.lidar_moving is not None
     assert np.array_equal(batch.lidar_moving[0].numpy(), moving)

@@ -70,10 +70,10 @@ def test_seen_are_the_cells_that_rays_leave_before_they_hit(scene, geometry):
 
 
 def test_unobserved_cells_are_unknown_and_kept_apart(scene, tmp_path):
-    caches = {name: VoxelCache(tmp_path / "cache", GRIDS[0], name) for name in ("free", "unobserved")}
+    caches = {name: VoxelCache(tmp_path / "cache", GRIDS[0], name) for name in ("none", "unobserved")}
     for cache in caches.values():
         cache.prepare([scene])
-    assert caches["free"].folder != caches["unobserved"].folder
+    assert caches["none"].folder != caches["unobserved"].folder
     free, strict = (cache.read(scene, 2) for cache in caches.values())
     assert torch.equal(free, vote(scene, 2, GRIDS[0]))
     unseen = observed.observed(scene, 2, GRIDS[0]) == 0

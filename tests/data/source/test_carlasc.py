@@ -29,7 +29,7 @@ def test_it_keeps_the_contracts_and_turns_right_into_left(tmp_path, coordinates)
     assert isinstance(scene, SceneFrames)
     assert (scene.name, len(scene)) == ("test-Town01_Light", 3)
     assert scene.world_from_ego[:, :2, 3].tolist() == [[0, 0], [1, -0.5], [2, -1]]
-    labels = scene.own_voxels(0, "free")
+    labels = scene.own_voxels(0, "none")
     building = (labels == 1).nonzero()
     assert building[:, 1].tolist() == sorted(building[:, 1].tolist()) or len(building)
     assert set(building[:, 1].tolist()) == set(range(127 - 89, 127 - 79))  # y > 0 in Unreal is on our right
@@ -88,4 +88,4 @@ def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
 
 def read_all(root):
     scene = source_of(root).scenes("train")[0]
-    return scene.own_voxels(0, "free"), scene.cloud(0), scene.world_from_ego
+    return scene.own_voxels(0, "none"), scene.cloud(0), scene.world_from_ego

@@ -102,12 +102,12 @@ def test_points_vote_and_what_moves_only_in_its_own_frame(root):
     assert (points.labels == VEHICLE).sum() == 1
     assert points.points_m[points.labels == WALL][:, 1] == pytest.approx(WALL_M, abs=1e-4)
     assert points.points_m[points.labels == WALL][:, 0].min() == pytest.approx(-10, abs=1e-3)  # of the file 1 m behind
-    cells = source.labels(GRID, "free").read(scene, 1)
+    cells = source.labels(GRID, "none").read(scene, 1)
     assert set(cells.unique().tolist()) == {0, ROAD, WALL, VEHICLE, 255}
     assert cells[45, 30, 11] == 255  # hit, without a tag
     assert (cells[10:40, 40, 3] == WALL).all()  # y from 6 to 6.4 m
     assert cells[42, 20, 3] == VEHICLE
-    assert source.labels(GRID, "free").benchmark(scene, 1) is None
+    assert source.labels(GRID, "none").benchmark(scene, 1) is None
     assert (source.labels(GRID, "unobserved").read(scene, 1) == 255).any()
     ranges_m, labels = scene.camera_range_m(0)[1], scene.pixel_labels(0)[1]
     assert ranges_m[labels == WALL].min() == pytest.approx(WALL_M - 1, abs=0.1)

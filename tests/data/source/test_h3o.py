@@ -52,7 +52,7 @@ def test_tags_become_classes_and_all_others_are_empty(root):
     for cell_m, shape in ((0.4, (64, 64, 8)), (0.2, (128, 128, 16))):
         source = source_of(root, cell_m=cell_m, y="left")
         scene = source.scenes("train")[0]
-        voxels = scene.own_voxels(0, "free")
+        voxels = scene.own_voxels(0, "none")
         assert source.grid.shape == tuple(voxels.shape) == shape
         assert voxels[20:49, 2, 7].tolist() == CLASS_OF_TAG
         assert 255 not in voxels
@@ -62,10 +62,10 @@ def test_tags_become_classes_and_all_others_are_empty(root):
 def test_the_right_of_the_image_is_the_right_of_the_voxels(root):
     source = source_of(root)
     scene, grid = source.scenes("train")[0], source.grid
-    wall = scene.own_voxels(0, "free")[10, :, 6].nonzero().flatten().tolist()
+    wall = scene.own_voxels(0, "none")[10, :, 6].nonzero().flatten().tolist()
     assert [round(float(grid.centers()[10, y, 6, 1]), 3) for y in wall] == [-5.0]  # our y points to the left
-    left_says_the_comment = source_of(root, y="left").scenes("train")[0].own_voxels(0, "free")
-    assert (left_says_the_comment.flip(1) == scene.own_voxels(0, "free")).all()
+    left_says_the_comment = source_of(root, y="left").scenes("train")[0].own_voxels(0, "none")
+    assert (left_says_the_comment.flip(1) == scene.own_voxels(0, "none")).all()
     (image,) = scene.images(0)
     assert image.shape == (32, 64, 3)
     assert image[:, 40].mean(0).tolist() == pytest.approx([200, 0, 0], abs=1)  # red is on the right
@@ -121,7 +121,7 @@ def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
 
 def read_all(root):
     scene = source_of(root).scenes("train")[0]
-    return scene.own_voxels(0, "free"), scene.erp_range_m(0), scene.images(0)
+    return scene.own_voxels(0, "none"), scene.erp_range_m(0), scene.images(0)
 
 
 def test_impossible_options_and_tags_are_named(root, tmp_path):
@@ -131,7 +131,7 @@ def test_impossible_options_and_tags_are_named(root, tmp_path):
     path = tmp_path / "sequences" / "Town01_a" / "occupancy_gt" / "000000.npy"
     np.save(path, np.full((64, 64, 8), 300, np.uint16))
     with pytest.raises(DataError, match=r"000000\.npy: the class ids \[300\] are not in"):
-        source_of(tmp_path).scenes("train")[0].own_voxels(0, "free")
+        source_of(tmp_path).scenes("train")[0].own_voxels(0, "none")
     np.save(path, np.zeros((32, 64, 8), np.uint8))
     with pytest.raises(DataError, match=r"the array has the shape \(32, 64, 8\) instead of \(64, 64, 8\)"):
-        source_of(tmp_path).scenes("train")[0].own_voxels(0, "free")
+        source_of(tmp_path).scenes("train")[0].own_voxels(0, "none")

@@ -46,7 +46,7 @@ def test_it_keeps_the_contracts_and_splits_as_published(root):
     }  # fmt: skip
     scene = source.scenes("test")[0]
     assert isinstance(scene, SceneFrames)
-    assert isinstance(source.labels(GRID, "free"), VoxelLabels)
+    assert isinstance(source.labels(GRID, "none"), VoxelLabels)
     assert len(scene) == len(scene.rigs) == len(scene.world_from_ego) == 3
     assert sum(last - first + 1 for first, last in VALIDATION) == 150
 
@@ -68,7 +68,7 @@ def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):
     cloud = scene.cloud(0)
     place = torch.from_numpy(cloud.points_m)
     cells, inside = GRID.index(place)
-    labels = scene.own_voxels(0, "free")
+    labels = scene.own_voxels(0, "none")
     # the labels' wall is around the ego origin of nuScenes, that of the points around the LiDAR, 0.94 m ahead of it
     ahead = (place[:, 0] + ORIGIN_M[0] - 0.94).hypot(place[:, 1])
     wall = (ahead > RING_M - 0.1) & (place[:, 0].abs() < 1) & (place[:, 2] + ORIGIN_M[2] > 0.1)
@@ -113,7 +113,7 @@ def test_lidarseg_gives_classes_of_pixels_and_rays(root):
 def test_masks_make_cells_unknown_or_not_scored(root):
     source = source_of(root)
     scene = source.scenes("train")[0]
-    free, unobserved, unseen = (scene.own_voxels(0, unknown) for unknown in ("free", "unobserved", "unseen"))
+    free, unobserved, unseen = (scene.own_voxels(0, unknown) for unknown in ("none", "unobserved", "unseen"))
     raw, observed = voxels()
     assert torch.equal(free, torch.from_numpy(from_file(raw)))
     assert np.array_equal(to_file(free.numpy()), raw)
@@ -126,7 +126,7 @@ def test_masks_make_cells_unknown_or_not_scored(root):
 
 def test_a_model_on_another_grid_is_scored_on_the_voxels_of_the_dataset(root):
     source = source_of(root)
-    scenes, labels = source.scenes("test"), source.labels(COARSE, "free")
+    scenes, labels = source.scenes("test"), source.labels(COARSE, "none")
     data = WindowDataset(scenes, labels, 1)
     batch = collate([data[0], data[1]])
     assert batch.voxels.shape[1:] == COARSE.shape
@@ -186,7 +186,7 @@ def test_a_damaged_file_is_one_line(tmp_path, file, change, message):
     if change is not None:
         path.write_bytes(change(content))
     with pytest.raises(DataError, match=message):
-        scene.own_voxels(0, "free"), scene.images(0), scene.cloud(0)
+        scene.own_voxels(0, "none"), scene.images(0), scene.cloud(0)
 
 
 @pytest.mark.parametrize("key", ["semantics", "pred"])
@@ -198,13 +198,13 @@ def test_labels_and_predictions_are_whole_numbers_from_0_to_17(tmp_path, key, wr
     content = dict(np.load(path))
     changed = content["semantics"].astype(dtype)
     np.savez(path, **content | {key: changed})
-    right = scene.own_voxels(0, "free").numpy() if key == "semantics" else scene.read_prediction(path)
+    right = scene.own_voxels(0, "none").numpy() if key == "semantics" else scene.read_prediction(path)
     np.testing.assert_array_equal(right, from_file(content["semantics"]))
     changed[3, 4, 5] = wrong
     np.savez(path, **content | {key: changed})
     shown = "the class ids" if float(wrong).is_integer() else "values that are no whole numbers"
     with pytest.raises(DataError, match=rf"labels\.npz: .*{shown}.*{wrong}"):
-        scene.own_voxels(0, "free") if key == "semantics" else scene.read_prediction(path)
+        scene.own_voxels(0, "none") if key == "semantics" else scene.read_prediction(path)
 
 
 def test_rays_that_did_not_come_back_are_no_points(tmp_path):

@@ -52,7 +52,7 @@ def test_the_public_scene_in_every_split_gives_a_warning(root, tmp_path):
 
 
 def test_rows_become_voxels_and_what_no_row_names_is_free(root, scene):
-    voxels = scene.own_voxels(0, "free")
+    voxels = scene.own_voxels(0, "none")
     assert [int((voxels == k).sum()) for k in range(6)] == [1_280_000 - 6400 - 1600 - 1, 1, 1600, 6400, 0, 0]
     assert voxels[170, 100, 10] == 1
     assert voxels[0, 199, 31] == 0
@@ -60,7 +60,7 @@ def test_rows_become_voxels_and_what_no_row_names_is_free(root, scene):
     assert torch.equal(scene.own_voxels(0, "unobserved"), voxels)
     truth = scene.benchmark(0)
     assert truth.scored is None
-    labels = source_of(root).labels(GRID, "free")
+    labels = source_of(root).labels(GRID, "none")
     assert torch.equal(labels.read(scene, 0), voxels)
 
 
@@ -68,7 +68,7 @@ def test_points_of_the_scan_are_in_the_voxels_and_pixels_of_the_wall(scene):
     cloud = scene.cloud(0)
     cells, inside = GRID.flat_index(torch.from_numpy(cloud.points_m))
     assert inside.all()
-    assert (scene.own_voxels(0, "free").flatten()[cells] == 2).all()
+    assert (scene.own_voxels(0, "none").flatten()[cells] == 2).all()
     front, left, right, back = scene.camera_range_m(0)
     assert np.nanmin(left) == pytest.approx(4.05, abs=0.1)  # the camera is 1 m to the left of the LiDAR
     assert np.isnan(right).all()
@@ -131,7 +131,7 @@ def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
 
 def read_all(root):
     scene = source_of(root).scenes("train")[0]
-    return scene.own_voxels(0, "free"), scene.cloud(0), scene.images(0)
+    return scene.own_voxels(0, "none"), scene.cloud(0), scene.images(0)
 
 
 def test_a_wrong_root_or_scene_lists_what_it_expected(tmp_path):

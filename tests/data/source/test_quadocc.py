@@ -45,7 +45,7 @@ def test_it_keeps_the_contracts_and_takes_every_fifth_frame(root):
 
 def test_255_is_empty_and_0_has_no_label(root):
     scene = source_of(root).scenes("train")[0]
-    voxels = scene.own_voxels(0, "free")
+    voxels = scene.own_voxels(0, "none")
     assert voxels[10:25, 2, 7].tolist() == [255, 1, 255, 255, 2, 3, 255, 255, 4, 255, 5, 255, 6, 255, 255]
     assert (voxels[0, :, 1:] == 0).all()
     assert (voxels[:, :, 0] == 3).all()
@@ -57,7 +57,7 @@ def test_255_is_empty_and_0_has_no_label(root):
 def test_points_are_in_the_voxels_of_the_building(root):
     cloud = source_of(root).scenes("train")[0].cloud(0)
     assert len(cloud.points_m) == 300  # those at the origin are no hits
-    voxels = source_of(root).scenes("train")[0].own_voxels(0, "free")
+    voxels = source_of(root).scenes("train")[0].own_voxels(0, "none")
     cells, inside = GRID.flat_index(torch.from_numpy(cloud.points_m))
     assert inside.all()
     assert (voxels.flatten()[cells] == 4).all()
@@ -139,14 +139,14 @@ def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
 
 def read_all(root):
     scene = source_of(root, "raw").scenes("train")[0]
-    return scene.own_voxels(0, "free"), scene.cloud(0), scene.images(0)
+    return scene.own_voxels(0, "none"), scene.cloud(0), scene.images(0)
 
 
 def test_impossible_ids_options_and_sequences_are_named(tmp_path):
     root = write_quadocc(tmp_path, frames=1)
     np.save(root / "sequences/a/voxel_final/000000.npy", np.full((64, 64, 8), 20, np.uint8))
     with pytest.raises(DataError, match=r"the class ids \[20\] are not in"):
-        source_of(root).scenes("train")[0].own_voxels(0, "free")
+        source_of(root).scenes("train")[0].own_voxels(0, "none")
     with pytest.raises(ValueError, match="images must be unfold or raw, and frame_step at least 1, got flat and 5"):
         source_of(root, "flat")
     with pytest.raises(DataError, match="d not found, it holds a, b, c; unpack these sequences"):

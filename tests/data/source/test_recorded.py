@@ -58,7 +58,7 @@ def test_the_scenes_and_labels_are_those_of_the_world_that_recorded_them(world, 
     )  # fmt: skip
     assert torch.equal(ours.lidar_directions, theirs.lidar_directions)
     scene = source.scenes("train")[0]
-    labels, expected = (one.labels(GRID, "free") for one in (source, world))
+    labels, expected = (one.labels(GRID, "none") for one in (source, world))
     for cache in (labels, expected):
         cache.prepare([scene])
     assert torch.equal(labels.read(scene, 1), expected.read(scene, 1))
@@ -168,7 +168,7 @@ def test_masks_of_a_rig_file_replace_the_recorded_ones(root, tmp_path):
     masked = Recorded(str(root), PATTERNS, masks=str(tmp_path / "masked.yaml"))
     assert masked.fingerprint != plain.fingerprint
     assert masked.folder == plain.folder
-    for unknown, same in (("free", True), ("unobserved", False)):  # what a camera does not show, it does not observe
+    for unknown, same in (("none", True), ("unobserved", False)):  # what a camera does not show, it does not observe
         assert (masked.labels(GRID, unknown).folder == plain.labels(GRID, unknown).folder) == same
     assert Recorded(str(root), PATTERNS, panorama=(32, 16, 30.0, -30.0)).fingerprint != plain.fingerprint
     for one in pickle.loads(pickle.dumps(masked.scenes("test")[0])).rigs:  # loader processes get copies
@@ -186,13 +186,13 @@ def test_cells_beyond_the_recorded_points_are_unknown_and_not_free(world, root):
     far = Cylinder((20, 8, 2), (0.0, 50.0), (-2.8, 3.6))
     source = Recorded(str(root), PATTERNS)
     scene = source.scenes("test")[0]
-    voxels = source.labels(far, "free").read(scene, 0)
+    voxels = source.labels(far, "none").read(scene, 0)
     assert torch.equal(voxels == UNKNOWN, (far.centers().abs() > 26)[..., :2].any(-1))
-    assert torch.equal(voxels, votes_of(scene, far, "free").read(scene, 0))
+    assert torch.equal(voxels, votes_of(scene, far, "none").read(scene, 0))
     assert reach_of(scene) == RENDERED_REACH_M
     scene.meta["facts"].pop("theme")  # as the scenes of a log, whose sensor ends nowhere
     assert reach_of(scene) is None
-    assert not (votes_of(scene, far, "free").read(scene, 0) == UNKNOWN).any()
+    assert not (votes_of(scene, far, "none").read(scene, 0) == UNKNOWN).any()
 
 
 def test_rendered_scenes_and_logs_do_not_share_a_grid_beyond_the_rendered_points(root):
@@ -200,5 +200,5 @@ def test_rendered_scenes_and_logs_do_not_share_a_grid_beyond_the_rendered_points
     source = Recorded(str(root), PATTERNS)
     source._readers[0].meta["facts"].pop("theme")
     with pytest.raises(DataError, match=r"end at 26 m, those of logs do not.*data\.source\.splits"):
-        source.labels(far, "free")
-    assert source.labels(GRID, "free").beyond is None
+        source.labels(far, "none")
+    assert source.labels(GRID, "none").beyond is None

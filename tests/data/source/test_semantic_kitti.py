@@ -48,7 +48,7 @@ def source_of(root, **changes):
 
 def read_all(root):
     scene = source_of(root).scenes("train")[0]
-    return scene.own_voxels(0, "free"), scene.images(0), scene.cloud(0), scene.world_from_ego
+    return scene.own_voxels(0, "none"), scene.images(0), scene.cloud(0), scene.world_from_ego
 
 
 def test_it_keeps_the_contracts(root):
@@ -66,7 +66,7 @@ def test_it_keeps_the_contracts(root):
 def test_labels_follow_the_rule_of_the_benchmark(root):
     source = source_of(root)
     scene = source.scenes("train")[0]
-    labels = scene.own_voxels(0, "free").numpy()
+    labels = scene.own_voxels(0, "none").numpy()
     raw, invalid = raw_voxels()
     assert set(np.unique(labels)) == {0, 1, 9, 13, UNKNOWN}
     assert (labels[(raw == CAR_ID) & ~invalid] == 1).all()  # a moving car is a car
@@ -86,7 +86,7 @@ def test_sequences_with_secret_labels_can_be_predicted_but_not_scored(tmp_path):
     source = source_of(root)
     scene = source.scenes("test")[0]
     assert scene.numbers == [0, 5]  # those with occupied voxels
-    assert scene.own_voxels(0, "free") is None
+    assert scene.own_voxels(0, "none") is None
     assert scene.benchmark(0) is None
     assert source.labels(source.grid, "none").read(scene, 0) is None
     with pytest.raises(UserError, match="scene '08' has no labels here"):
@@ -123,7 +123,7 @@ def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):
     scene = source.scenes("train")[0]
     cloud = scene.cloud(0)
     cells, inside = source.grid.index(torch.from_numpy(cloud.points_m))
-    found = scene.own_voxels(0, "free")[tuple(cells[inside].T)]
+    found = scene.own_voxels(0, "none")[tuple(cells[inside].T)]
     same = found == torch.from_numpy(cloud.labels)[inside]
     assert set(cloud.labels) == {9, 13}
     assert same.float().mean() > 0.9
@@ -236,7 +236,7 @@ def test_on_the_first_release_submissions_of_both_releases_are_read_and_todays_i
             f"predictions: class 10 is car, as in the dataset's files; cells lie as in {release} of the voxels\n"
         )
     assert {found["test/voxel/iou"] for found in scores.values()} == {1.0}
-    mine = scene.own_voxels(0, "free").numpy()
+    mine = scene.own_voxels(0, "none").numpy()
     scene.write_prediction(tmp_path / "mine.label", np.where(mine == UNKNOWN, 0, mine))
     written = np.fromfile(tmp_path / "mine.label", "<u2").reshape(todays.shape)
     assert (written > 0)[50:70, 120:130, 3:9].all()

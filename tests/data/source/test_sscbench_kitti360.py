@@ -48,7 +48,7 @@ def test_it_keeps_the_contracts(root):
 
 
 def test_labels_follow_the_rule_of_the_benchmark(root):
-    labels = source_of(root).scenes("train")[0].own_voxels(0, "free").numpy()
+    labels = source_of(root).scenes("train")[0].own_voxels(0, "none").numpy()
     raw, invalid = raw_voxels()
     assert (labels[raw == OTHER_ID] == 18).all()  # labelled cells count although the file calls them invalid
     assert (labels[invalid & (raw == 0)] == UNKNOWN).all()
@@ -57,17 +57,17 @@ def test_labels_follow_the_rule_of_the_benchmark(root):
 
 def test_preprocessed_labels_are_read_where_there_are_no_voxels(tmp_path):
     root = write_sscbench(tmp_path, frames=1, poses=False)
-    expected = source_of(root).scenes("train")[0].own_voxels(0, "free")
+    expected = source_of(root).scenes("train")[0].own_voxels(0, "none")
     folder = root / "preprocess" / "labels" / SEQUENCE.format("00")
     folder.mkdir(parents=True)
     np.save(folder / "000000_1_1.npy", expected.numpy())
     shutil.rmtree(root / "data_2d_raw" / SEQUENCE.format("00") / "voxels")
     scene = source_of(root).scenes("train")[0]
-    assert torch.equal(scene.own_voxels(0, "free"), expected)
+    assert torch.equal(scene.own_voxels(0, "none"), expected)
     assert (scene.world_from_ego == np.eye(4)).all()  # without poses
     np.save(folder / "000000_1_1.npy", expected.numpy()[:2])
     with pytest.raises(DataError, match=r"'00', frame 0: .*_1_1\.npy: the array has the shape \(2, 256, 32\)"):
-        scene.own_voxels(0, "free")
+        scene.own_voxels(0, "none")
 
 
 def test_the_fisheyes_of_kitti360_are_found_by_their_images(root, kitti360, tmp_path):
@@ -127,7 +127,7 @@ def cut_label(root, other):
 
 def read_all(root, other):
     scene = source_of(root, kitti360=str(other)).scenes("train")[0]
-    return scene.rigs, scene.own_voxels(0, "free")
+    return scene.rigs, scene.own_voxels(0, "none")
 
 
 @pytest.mark.parametrize(

@@ -174,11 +174,11 @@ def test_labels_end_where_the_recorded_points_do(tmp_path):
     assert np.all(farthest < RENDERED_REACH_M)
     assert np.all(farthest[:2] > 25.5), "otherwise it ends earlier"
     far = Cuboid((100, 100, 4), (-40.0, 40.0), (-40.0, 40.0), (-2.8, 3.6))
-    unknown = world.labels(far, "free").read(scene, 0) == 255
+    unknown = world.labels(far, "none").read(scene, 0) == 255
     assert unknown[0].all()
     assert not unknown[20:80, 20:80].any()
     near = Cylinder((8, 10, 4), (0.0, 25.6), (-2.8, 3.6))
-    assert not (world.labels(near, "free").read(scene, 0) == 255).any()
+    assert not (world.labels(near, "none").read(scene, 0) == 255).any()
 
 
 def test_everything_that_decides_the_data_is_in_the_fingerprint(tmp_path):

@@ -40,7 +40,7 @@ def test_it_keeps_the_contracts(root):
     scene = source.scenes("val")[0]
     assert isinstance(scene, SceneFrames)
     assert (len(scene), scene.rigs[0].names) == (1, ("MVL",))
-    labels = source.labels(Cylinder((8, 10, 4)), "free")
+    labels = source.labels(Cylinder((8, 10, 4)), "none")
     assert labels.read(scene, 0) is labels.benchmark(scene, 0) is None
     assert labels.counts([scene]).sum() == 0
 
