@@ -17,7 +17,7 @@ from omniocc.config import PACKAGES, PACKAGES_VARIABLE, foreign_packages, own_co
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
-from omniocc.runs.checkpoint_io import LAST, no_checkpoint, resumable
+from omniocc.runs.checkpoint_io import LAST, no_checkpoint_message, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
 from omniocc.runs.slots import sketch_learns
 from omniocc.runs.weights import find_checkpoint
@@ -102,7 +102,7 @@ def with_digest(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in config.items() if key != "weights"}
     path = find_checkpoint(config["weights"])
     if not path.is_file():
-        raise FileNotFoundError(f"{key}={config['weights']}: {no_checkpoint(path)}")
+        raise FileNotFoundError(f"{key}={config['weights']}: {no_checkpoint_message(path)}")
     return {**config, "weights": sha256(path)}
 
 

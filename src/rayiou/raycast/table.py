@@ -81,7 +81,7 @@ def ray_table(grid: Lattice, origins: Float[Tensor, "O 3"], scan: RayScan) -> Ra
     Args:
         grid: cylinder or cuboid; equal grids use one table.
         origins: ego frame, metres; the table lives on their device.
-        scan: directions from each origin; the table's rays are in the order of `Scan.rays`.
+        scan: directions from each origin; the table's rays are in the order of `RayScan.rays`.
     """
     return _cached(grid, origins.double().cpu().numpy().tobytes(), scan, str(origins.device))
 
