@@ -17,7 +17,7 @@ from made_runs import make_run
 from omniocc.errors import UserError
 from omniocc.extras.viewer.watch.server import Server
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 EVIL = "<img src=x onerror=alert(1)>"
 
 
