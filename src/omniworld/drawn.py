@@ -125,8 +125,8 @@ def draw_lens(rng: Draw, lens: str, width: int, height: int, field_deg: float, f
             return shape(focal_px, center, width, height)
 
 
-def perturb_rig(rng: Draw, rig: Rig, angle_deg: float, distance_m: float) -> Rig:
-    """Return the rig with poses that are wrong by about this much, as calibrations are."""
+def perturb_rig(rng: Draw, rig: Rig, angle_deg: float = 0.1, distance_m: float = 0.003) -> Rig:
+    """Return the rig with poses that are wrong as calibrations are, by these standard deviations about each axis."""
     poses = rig.ego_from_camera.clone()
     for pose in poses:
         pose[:3, :3] = pose[:3, :3] @ _small_rotation(np.radians(rng.normal(0, angle_deg, 3)))

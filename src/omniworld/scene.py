@@ -14,10 +14,9 @@ from omniworld.mesh.mesh import transform
 from omniworld.mesh.repaint import repaint as repainted
 from omniworld.render.caster import Caster, Layers
 from omniworld.render.cull import spheres_of
-from omniworld.render.lamp import lamp_pools
+from omniworld.render.light import lamp_pools
 from omniworld.render.own_car import car_under, road_of
-from omniworld.render.shadow import Shadows
-from omniworld.render.snapshot import Snapshot
+from omniworld.render.snapshot import Shadows, Snapshot
 from omniworld.render.surface import SurfaceStack, make_surfaces
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 from omniworld.sensors.geometry_labels import GeometryLabels

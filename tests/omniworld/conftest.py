@@ -1,6 +1,8 @@
 """A street of boxes between walls, small enough for exact expectations."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +13,11 @@ from omniworld.mesh.mesh import Mesh, concatenate
 from omniworld.render.caster import Caster, Layers
 from omniworld.render.cull import spheres_of
 from omniworld.render.light import Light, Sensor
-from omniworld.render.shadow import Shadows
-from omniworld.render.snapshot import Snapshot
+from omniworld.render.snapshot import Shadows, Snapshot
 from omniworld.render.surface import join, make_surfaces
 from omniworld.render.weather import draw_light, draw_sensor
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data"))  # fake_scene
 
 
 def make_quad(

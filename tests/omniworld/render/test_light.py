@@ -7,10 +7,9 @@ from plain_shading import shade as shade_plainly
 
 from omniworld.mesh.material import Material
 from omniworld.mesh.mesh import concatenate, empty
+from omniworld.render.capture import develop, shade
 from omniworld.render.caster import no_hits
-from omniworld.render.exposure import develop
-from omniworld.render.lamp import lamp_pools
-from omniworld.render.shade import shade
+from omniworld.render.light import lamp_pools
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor
 
 

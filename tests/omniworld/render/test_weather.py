@@ -5,9 +5,8 @@ import pytest
 
 from omniworld.mesh.material import Material
 from omniworld.mesh.mesh import concatenate, empty
-from omniworld.render.lamp import lamp_pools
-from omniworld.render.rain import streaks
-from omniworld.render.shade import shade
+from omniworld.render.capture import shade, streaks
+from omniworld.render.light import lamp_pools
 from omniworld.render.surface import lamp_strength
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
