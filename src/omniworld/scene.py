@@ -89,7 +89,7 @@ class Scene:
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
             labeller = SemanticLidars(self._static, static_surfaces, town.terrain.height, lidars)
-        self.recorder = Recorder(rig, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
+        self.recorder = Recorder(rig, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg=erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Record the frame at `index * frame_interval_s` seconds; raise ValueError if the index is negative."""
@@ -115,9 +115,9 @@ class Scene:
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),
-            moving_mesh,
-            spheres,
-            self._light,
+            moving=moving_mesh,
+            spheres=spheres,
+            light=self._light,
         )
         return snapshot, actors
 

@@ -34,7 +34,7 @@ def make_quad(
         np.full(2, label, np.uint8),
         np.full(2, material, np.uint8),
         np.tile(np.array(color, np.uint8), (2, 1)),
-        np.full(2, instance, np.int32),
+        instance=np.full(2, instance, np.int32),
     )
 
 
@@ -91,8 +91,8 @@ def noon() -> Light:
         light.horizon,
         light.bounce,
         0.0,
-        0.3,
-        light.cloud_shift,
+        cloud_cover=0.3,
+        cloud_shift=light.cloud_shift,
         haze_m=1e6,
     )
 
@@ -122,9 +122,9 @@ def make_snapshot(static: Mesh, moving: Mesh, ego_mesh: Mesh, light: Light, x_m:
         start,
         np.eye(3, dtype=np.float32),
         origin,
-        moving,
-        spheres_of(moving),
-        light,
+        moving=moving,
+        spheres=spheres_of(moving),
+        light=light,
     )
 
 

@@ -75,13 +75,13 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
             surfaces.key,
             seen.lit,
             seen.offset_m,
-            hits.range_m,
-            _STEP_M,
-            _STEP_FRACTION,
-            border,
-            shadow,
+            range_m=hits.range_m,
+            step_m=_STEP_M,
+            step_fraction=_STEP_FRACTION,
+            surface=border,
+            shadow=shadow,
         )
-        _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe)
+        _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe=maybe)
     hit = hits.face >= 0
     key = np.where(hit, surfaces.key.take(hits.face), 0)
     label = np.where(hit, surfaces.label.take(hits.face), np.uint8(0))
@@ -107,7 +107,7 @@ def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: 
 
 def _shade(view: View, snapshot: Snapshot, hits: Hits, directions_ego: np.ndarray) -> Shading:
     eye, directions = snapshot.world_point(view.origin_m), snapshot.world_directions(directions_ego)
-    return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, view.pixel_rad)
+    return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, pixel_rad=view.pixel_rad)
 
 
 def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
@@ -164,7 +164,7 @@ def shade(
     hits, directions = Hits(*map(np.ascontiguousarray, hits)), np.ascontiguousarray(directions)
     values, table = light_values(light), surfaces.table
     points, rays = np.empty((3, count), np.float32), np.empty(count, np.int32)
-    tested = shadow_starts(hits, directions, origin, table, values, points, rays)
+    tested = shadow_starts(hits, directions, origin, table, values, points, rays=rays)
     dark = np.zeros(count, bool)
     dark[rays[:tested]] = shadows.fall_on(points[:, :tested])
     shading = Shading(np.empty((3, count), np.float32), np.empty(count, np.float32), np.empty(count, bool))
@@ -212,7 +212,9 @@ def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.ran
     noise = np.float32(sensor.read_noise), np.float32(sensor.shot_noise)
     for channel, balance in enumerate(sensor.white_balance):
         start = int(rng.integers(0, len(grain)))
-        develop_channel(linear[channel], gain, balance, *noise, grain, start, _CURVE, result, channel)
+        develop_channel(
+            linear[channel], gain, balance, *noise, grain, start=start, curve=_CURVE, rgb=result, channel=channel
+        )
     return result
 
 

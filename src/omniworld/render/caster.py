@@ -138,7 +138,7 @@ def intersect(scene, arguments, origins, directions, limit_m, range_m, face, u, 
     """
     packet, whole, valid = _packet()
     for start in range(0, len(face), WIDTH):
-        _fill(packet, whole, valid, start, origins, directions, limit_m)
+        _fill(packet, whole, valid, start, origins, directions, limit_m=limit_m)
         _intersect8(valid.ctypes.data, scene, packet.ctypes.data, arguments)
         for place in range(min(WIDTH, len(face) - start)):
             ray = start + place
@@ -155,7 +155,7 @@ def occlude(scene, arguments, origins, directions, limit_m, blocked):
     """Fill whether anything is hit before `limit_m`; arguments as for `intersect`."""
     packet, whole, valid = _packet()
     for start in range(0, len(blocked), WIDTH):
-        _fill(packet, whole, valid, start, origins, directions, limit_m)
+        _fill(packet, whole, valid, start, origins, directions, limit_m=limit_m)
         _occluded8(valid.ctypes.data, scene, packet.ctypes.data, arguments)
         for place in range(min(WIDTH, len(blocked) - start)):
             blocked[start + place] = packet[8 * WIDTH + place] < 0

@@ -221,7 +221,9 @@ def shade_rays(hits, dark, directions, origin, table, atlas, clouds, pools, ligh
         v_m = table[face, _U + 1] + u * table[face, _U1 + 1] + v * table[face, _U2 + 1]
         footprint_m = range_m * pixel_rad / sqrt(max(cosine, 0.05))
         code = int(table[face, LAYER])
-        tint, own_red, own_green, own_blue = sample(code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_m, macro)
+        tint, own_red, own_green, own_blue = sample(
+            code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_sizes_m=texel_m, macro=macro
+        )
         red = table[face, _RED] * tint + own_red
         green = table[face, _RED + 1] * tint + own_green
         blue = table[face, _RED + 2] * tint + own_blue

@@ -84,12 +84,12 @@ def build(theme: str, seed: int) -> Place:
         extras.append(hall(recipe, town, land, rng))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
-            recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")
+            recipe, town, ring, has_sidewalk, crossings, site, rng=seeding.generator(theme, seed, f"block {index}")
         )
     backdrop(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
     mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), *extras, site.mesh()])
-    return Place(recipe, mesh, land, town, paved, crossings, tuple(site.signals))
+    return Place(recipe, mesh, land, town, paved, crossings, signals=tuple(site.signals))
 
 
 def islands(theme: Theme, network: Network, site: Site, rng: np.random.Generator) -> Mesh:
@@ -236,7 +236,7 @@ def _distant_meshes() -> tuple[Mesh, list[Mesh]]:
     rng = seeding.generator("backdrop", 0, "woods")
     walls, roof = Skin(BUILDING, Material.FACADE, (150, 150, 150)), Skin(BUILDING, Material.ROOF, (96, 84, 78))
     leaves = Skin(VEGETATION, Material.LEAVES, (70, 92, 52))
-    woods = [blob(rng, (15, 11, 9), (0, 0, 1), leaves, 0.25, 8, 4) for _ in range(4)]
+    woods = [blob(rng, (15, 11, 9), (0, 0, 1), leaves, 0.25, 8, rows=4) for _ in range(4)]
     return box((16, 13, 12), (0, 0, 2), walls, roof), woods
 
 

@@ -160,12 +160,16 @@ def clip_flat(origin, along, low, high):
 
 @compiled
 @no_type_check
-def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
-    """Find the columns along one azimuth within `span`, where the fan is in the grid; return their number.
+def columns_of(group, rays, grid, scratch, cells, ends):
+    """Find the columns along one azimuth, counted over all fans; return their number.
 
-    `bounds` (2, 2) and `sizes` are ends and cells of the horizontal axes, `faces` those of `sector_faces`, empty for a
-    cuboid, `scratch` (2, longest + 1) working memory; the outputs are those of `merge`.
+    Only those count in which some ray of the fan is inside the grid. `scratch` (2, longest + 1) is working memory; the
+    outputs are those of `merge`.
     """
+    origins, azimuths, spans = rays[0], rays[1], rays[5]
+    _, bounds, sizes, faces = grid  # ends and cells of the horizontal axes; `sector_faces`, empty for a cuboid
+    fan, azimuth = group // azimuths.shape[1], group % azimuths.shape[1]
+    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], azimuths[fan, azimuth, 0], azimuths[fan, azimuth, 1]
     size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
     if faces.size:
         enter, leave = clip_round(x, y, along_x, along_y, bounds[0, 1])
@@ -173,20 +177,28 @@ def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, ce
         one = clip_flat(x, along_x, bounds[0, 0], bounds[0, 1])
         other = clip_flat(y, along_y, bounds[1, 0], bounds[1, 1])
         enter, leave = max(one[0], other[0]), min(one[1], other[1])
-    start, leave = max(enter, span[0], 0.0), min(leave, span[1], FAR)
+    start, leave = max(enter, spans[fan, 0], 0.0), min(leave, spans[fan, 1], FAR)
     if not leave > start + TOUCH_M:  # a nan misses
         ends[0] = 0.0
         return 0
     if faces.size:
-        row, down, number = ring_params(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
-        column, step, others = sector_params(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
+        row, down, number = ring_params(
+            x, y, along_x, along_y, start, leave, low=bounds[0, 0], size=size, cells=sizes[0], params=scratch[0]
+        )
+        column, step, others = sector_params(
+            x, y, along_x, along_y, start, leave, cells=sizes[1], faces=faces, params=scratch[1]
+        )
     else:
-        row, step, number = plane_params(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        row, step, number = plane_params(
+            x, along_x, start, leave, bounds[0, 0], size, cells=sizes[0], params=scratch[0]
+        )
         down = number if step < 0 else 0
         size = (bounds[1, 1] - bounds[1, 0]) / sizes[1]
-        column, step, others = plane_params(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
+        column, step, others = plane_params(
+            y, along_y, start, leave, bounds[1, 0], size, cells=sizes[1], params=scratch[1]
+        )
     first, second = (scratch[0], number, down), (scratch[1], others, step)
-    return merge(first, second, (row, column), sizes, start, leave, cells, ends)
+    return merge(first, second, (row, column), sizes, start, leave, cells=cells, ends=ends)
 
 
 @compiled
@@ -300,17 +312,6 @@ def exit_param(height, slope, bottom, top, begin, end):
     enter, leave = clip_flat(height, slope, bottom, top)
     leave = min(end, leave)
     return leave if leave > max(begin, enter) + TOUCH_M else np.inf
-
-
-@compiled
-@no_type_check
-def columns_of(group, rays, grid, scratch, cells, ends):
-    """Find the columns along one azimuth, counted over all fans; return their number."""
-    origins, azimuths, spans = rays[0], rays[1], rays[5]
-    _, bounds, sizes, faces = grid
-    fan, azimuth = group // azimuths.shape[1], group % azimuths.shape[1]
-    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], azimuths[fan, azimuth, 0], azimuths[fan, azimuth, 1]
-    return find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
 
 
 @compiled

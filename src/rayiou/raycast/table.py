@@ -150,7 +150,9 @@ class KernelTable:
             bits = np.empty((len(labels), columns), dtype=np.int64)
             march.pack(labels, bits)
             run_in_threads(
-                lambda *part: march.cast(*part, self.rays, self.grid, self.longest, labels, bits, out), groups, rays
+                lambda *part: march.cast(*part, self.rays, self.grid, self.longest, labels, packed=bits, out=out),
+                groups,
+                rays,
             )
         else:
             for number, volume in enumerate(labels):

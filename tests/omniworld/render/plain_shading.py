@@ -48,7 +48,9 @@ def shade(
     cosine = np.abs(cosine)
     sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
-    color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
+    color[:, ground] = _surface_color(
+        some, points, toward, attributes, cosine, sunlight, light=light, pixel_rad=pixel_rad
+    )
     sunny, open_fraction = sunlight
     offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_fraction is None else open_fraction > 0.9
     return Shading(color, offset_m, lit)
