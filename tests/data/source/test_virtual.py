@@ -24,8 +24,8 @@ from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.parallel import worker_environment
 from omniworld import THEMES, Scene, VirtualWorld
+from omniworld.page import light_of, time_of_day
 from omniworld.render.weather import WEATHERS, draw_weather
-from omniworld.report.facts import light_of, time_of_day
 
 SCRIPT = """
 import sys

@@ -73,7 +73,7 @@ def test_a_page_of_scenes_without_labels(original, recorder, tmp_path):
     """The page shows what there is; facts of the virtual world are of its own scenes."""
     from omniocc.classes import WORLD_CLASSES
     from omniocc.geometry import Cylinder
-    from omniworld.report.page import _frame
+    from omniworld.page import _frame
 
     scene = SceneReader(recorder().record(tmp_path)[0])
     drawn = _frame(scene, 0, Cylinder(), WORLD_CLASSES)

@@ -1,4 +1,4 @@
-"""A web page in a single file to browse recorded scenes: `templates/dataset.html.j2`."""
+"""A web page in a single file to browse recorded scenes: `templates/dataset.html.j2`, and facts on them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from omniocc.camera import Rig
+from omniocc import seeding
+from omniocc.camera import Pinhole, Rig
 from omniocc.classes import FREE, ClassTable
 from omniocc.data.labels.voxels import vote
 from omniocc.data.spacing import evenly_spaced
@@ -18,6 +19,9 @@ from omniocc.draw.canvas import fitted
 from omniocc.draw.ranges import SKY, range_colors
 from omniocc.draw.sheet import HEXAGON_ORDER, NAMES
 from omniocc.draw.voxels import render_voxels
+from omniocc.extras.viewer.collect import show_scenes, with_progress
+from omniocc.extras.viewer.page import write_page
+from omniocc.extras.viewer.scenes import scenes_of
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
@@ -25,21 +29,24 @@ from omniocc.report.datasets import own_row
 from omniocc.report.html import png, render, webp
 from omniocc.runs.folder import PAGE
 from omniworld.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent
-from omniworld.report.facts import (
-    OTHER_DATASETS,
-    facts_of,
-    frame_at,
-    pinhole_twin,
-    speed_mps,
-    time_of_day,
-)
-from omniworld.report.viewer import save_viewer_page
+from omniworld.fingerprint import world_code
+from omniworld.render.light import Light
+from omniworld.render.weather import draw_light, draw_weather
+from omniworld.variations.night import NIGHT
 
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
 CAMERA_PX, PANORAMA_PX, BEV_PX, VOXELS_PX = 400, 1200, 480, (854, 480)
 UNMEASURED = (24, 26, 30)
 WEBP_QUALITY = 80
+LOW_SUN_DEG = 25.0
+OTHER_DATASETS = (
+    ("SemanticKITTI", True, False, True, False, False, 23201),
+    ("Occ3D-nuScenes", True, False, True, False, False, 40000),
+    ("CarlaSC", True, False, True, True, False, 43200),
+    ("OmniDepth-Occ (paper)", True, True, True, True, True, 57600),
+)
+"""Table I of the paper: pinhole images, fisheye images, cuboid voxels, polar voxels, 2D semantics and depth, frames."""
 
 
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
@@ -72,9 +79,10 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
         "scenes": drawn,
         "viewer": PAGE,
     }
-    atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
+    atomic_write(path, render("dataset.html.j2", {"content": content}))
     frames = [(scene, evenly_spaced(len(scene), per_scene)) for scene in shown]
-    save_viewer_page(Path(path).with_name(PAGE), frames, geometry, CAMERA_PX)
+    turned = show_scenes(scenes_of(frames, path.parent), (), (geometry,))
+    write_page(turned, with_progress(turned), path.with_name(PAGE), CAMERA_PX)
 
 
 def _scene(
@@ -160,3 +168,79 @@ def _semantics(labels: np.ndarray, palette: np.ndarray) -> np.ndarray:
 
 def _smaller(image: np.ndarray) -> np.ndarray:
     return fitted(image, CAMERA_PX) if image.shape[1] > CAMERA_PX else image
+
+
+def facts_of(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[str, str]:
+    """Return facts about amount and recording of the data by title; `shown` scenes are on the page."""
+    first = scenes[0]
+    rig = first.rig
+    frames = sum(map(len, scenes))
+    size = sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
+    step_s = float(np.diff(first.time_s).mean()) if len(first) > 1 else 0.0
+    return {
+        "Scenes": f"{len(scenes)}" + (f", {shown} shown" if shown < len(scenes) else ""),
+        "Frames": f"{frames:,}" + (f", one each {step_s:g} s" if step_s else ""),
+        "Places": str(len({scene.meta["facts"]["theme"] for scene in scenes})),
+        "Cameras": f"{len(rig.cameras)} of {rig.cameras[0].width} x {rig.cameras[0].height} px",
+        "Size": f"{size / 1e9:.2f} GB, {size / 1e6 / frames:.2f} MB a frame",
+        "Voxels drawn": f"{type(geometry).__name__} {' x '.join(map(str, geometry.shape))}",
+    }
+
+
+def pinhole_twin(scene: SceneReader) -> SceneReader | None:
+    """Return the same scene recorded by pinhole cameras, if such a dataset is beside the scene's own.
+
+    It has the same street, traffic and light: equal name, theme, seed, weather and code of the world.
+    """
+    if isinstance(scene.folder, str) or _is_pinhole(scene):
+        return None
+    for folder in sorted(scene.folder.parent.parent.glob(f"virtual-*/{scene.name}")):
+        other = SceneReader(folder)
+        if _is_pinhole(other) and _drawn(other) == _drawn(scene):
+            return other
+    return None
+
+
+def frame_at(scene: SceneReader, time_s: float) -> int | None:
+    """Return the number of the frame recorded at this time; None if there is none."""
+    at = int(np.abs(scene.time_s - time_s).argmin())
+    return at if abs(scene.time_s[at] - time_s) < 1e-6 else None
+
+
+def speed_mps(scene: SceneReader, frame: int) -> float:
+    """Return the speed between a frame and the next, m/s."""
+    if len(scene) < 2:
+        return 0.0
+    first = min(frame, len(scene) - 2)
+    moved = scene.world_from_ego[first + 1, :3, 3] - scene.world_from_ego[first, :3, 3]
+    return float(np.linalg.norm(moved) / (scene.time_s[first + 1] - scene.time_s[first]))
+
+
+def light_of(theme: str, seed: int, weather: str) -> Light:
+    """Return sun, sky and air as `omniworld.Scene` draws them for a scene."""
+    rng = seeding.generator(theme, seed, "light")
+    draw_weather(rng)
+    return draw_light(weather, rng)
+
+
+def time_of_day(facts: dict[str, Any]) -> str:
+    """Return the time of day in words, with the sun's elevation; empty for scenes of another version of the world."""
+    if facts["recipe"]["world"] != world_code():
+        return ""
+    if facts["weather"] == NIGHT:
+        return NIGHT
+    light = light_of(facts["theme"], facts["seed"], facts["weather"])
+    if not light.sun.any():
+        return "day, sun hidden"
+    elevation_deg = float(np.degrees(np.arcsin(light.sun_direction[2])))
+    when = "dusk" if light.lamps else "morning or evening" if elevation_deg < LOW_SUN_DEG else "day"
+    return f"{when}, sun {elevation_deg:.0f}° high"
+
+
+def _is_pinhole(scene: SceneReader) -> bool:
+    return all(isinstance(camera, Pinhole) for camera in scene.rig.cameras)
+
+
+def _drawn(scene: SceneReader) -> tuple[Any, ...]:
+    facts = scene.meta["facts"]
+    return (facts["theme"], facts["seed"], facts["weather"], facts["recipe"]["world"])

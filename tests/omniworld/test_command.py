@@ -8,7 +8,7 @@ from fake_scene import FakeWorld
 from omniocc.data import DataError
 from omniocc.data.store.shard import SceneWriter
 from omniworld import THEMES, VirtualWorld
-from omniworld.budget import announcement, bytes_to_come, existing, frame_bytes
+from omniworld.command import announcement, bytes_to_come, existing, frame_bytes
 
 MEASURED_KB = {
     ((256, 144), (180, 45), "lidar20"): 570,
@@ -29,7 +29,7 @@ def test_sizes_of_frames_are_those_of_rendered_ones(tmp_path, case):
 
 def disk(monkeypatch, free):
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr("omniworld.budget.shutil.disk_usage", lambda _: usage(free, 0, free))
+    monkeypatch.setattr("omniworld.command.shutil.disk_usage", lambda _: usage(free, 0, free))
 
 
 def test_what_is_coming_is_said_and_a_full_disk_stops_it(tmp_path, monkeypatch):
