@@ -163,10 +163,10 @@ class VoxelCache:
     def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
         scene = scenes[folder.name]
         with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
-            report(len(scene) if writer.finished else writer.num_frames)
             if writer.finished:
+                report(len(scene))
                 return
-            for frame in range(writer.num_frames, len(scene)):
+            for frame in range(len(scene)):
                 cells = self._vote(scene, frame).contiguous().numpy()
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
