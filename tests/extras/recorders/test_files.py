@@ -17,8 +17,7 @@ from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
 from omniocc.data import DataError, SceneReader
 from omniocc.data.formats.poses import shift
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
-from omniocc.data.labels.observed import observed
-from omniocc.data.labels.voxels import vote
+from omniocc.data.labels.voxels import observed, vote
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.check import check_scene
 from omniocc.data.store.codec import decode_frame

@@ -107,7 +107,7 @@ class SceneWriter:
             self._shard.close()
             self._shard = None
 
-    def _guard(self, action: Callable[[], None]) -> None:
+    def _guard(self, action: Callable[[], Any]) -> None:
         try:
             action()
         except DataError:
