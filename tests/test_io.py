@@ -36,13 +36,7 @@ DIRECT = {
     (
         "omniocc/data/store/shard.py",
         "(self.work / shard_name(shard)).open(",
-    ): "a journal says which frames are whole",
-    ("omniocc/data/store/shard.py", "path.open('r+b')"): "what a kill left beyond the journal is cut off",
-    (
-        "omniocc/data/store/shard.py",
-        "(self.work / JOURNAL).open(",
-    ): "its lines are appended, each with a checksum",
-    ("omniocc/data/store/shard.py", "journal.open('r+b')"): "what a kill left of its last line is cut off",
+    ): "the folder gets its name when all files are whole",
     (
         "omniocc/data/store/reader.py",
         "(Path(folder) / name).write_bytes(",

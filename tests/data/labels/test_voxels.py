@@ -5,7 +5,7 @@ import torch
 from fake_scene import FakeWorld, fake_frame
 from fake_source import FakeFrames
 
-from omniocc.data.labels import observed
+from omniocc.data.labels import voxels as observed
 from omniocc.data.labels.voxels import VoxelCache, vote
 from omniocc.data.source import LidarScan
 from omniocc.data.store import codec, reader
