@@ -5,7 +5,7 @@ import pytest
 
 from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
-from omniocc.report.tables.overview import table_of_runs
+from omniocc.report.tables.budget import table_of_runs
 from omniocc.runs.results import load_results, save_results, show_results
 from omniocc.runs.table import as_markdown, by_origin, markdown, per_class, summary
 

@@ -8,15 +8,14 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.docs import CURVES_IMAGE, write_docs
-from omniocc.report.plots.figures import learning_curves
+from omniocc.report.docs import CURVES_IMAGE, draw_curves, write_docs
+from omniocc.report.plots import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import training
 from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
-from omniocc.report.write import draw_curves
 from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
