@@ -196,7 +196,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         data = facts_of_scenes(scenes) if scenes else ""
         own = [test for test in tests if test.system in {run.name for run in kept}]
         ordered = {row: rows[row] for row in order}
-        return Sweep(kept, ordered, remark, data, found, datasets, begun, robustness=own)
+        return Sweep(kept, ordered, remark, data, found, datasets, unfinished=begun, robustness=own)
 
     seed_stds = load_seed_stds(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]

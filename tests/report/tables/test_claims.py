@@ -53,8 +53,10 @@ def test_claimed_are_the_best_over_all_others_and_what_the_table_adds():
     assert titles(SKETCH) == [("ours", other) for other in ("wo_dilation", "mono", "dense", "random")]
     second = "voxformer_pinhole@1000"
     assert titles(COMPARISON) == [
-        *(("ours", other) for other in ("bevdet", "bevformer", second)), (second, "bevdet"), (second, "bevformer"),
-    ]  # fmt: skip
+        *(("ours", other) for other in ("bevdet", "bevformer", second)),
+        (second, "bevdet"),
+        (second, "bevformer"),
+    ]
     assert titles(load_table(SWEEPS / "beyond.yaml")) == []
 
 
@@ -134,9 +136,11 @@ def test_with_one_seed_nothing_is_decided():
 def test_the_family_has_every_claim_of_all_tables_once():
     """`comparison` and a copy of it have the same five claims, `sketch` has four, of which some have not run."""
     runs = {
-        "ours": row("ours", 0.30, 0.31, lidar=0.7), "voxformer_pinhole@1000": row("vox", 0.21, 0.23, lidar=0.7),
-        "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7), "dense": row("dense", 0.25, 0.24, lidar=0.7),
-    }  # fmt: skip
+        "ours": row("ours", 0.30, 0.31, lidar=0.7),
+        "voxformer_pinhole@1000": row("vox", 0.21, 0.23, lidar=0.7),
+        "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7),
+        "dense": row("dense", 0.25, 0.24, lidar=0.7),
+    }
     tables = [COMPARISON, COMPARISON._replace(name="again"), SKETCH]
     found = verdicts_of(tables, runs)
     own = [entry for (*_, key), entry in found.items() if key == OWN]

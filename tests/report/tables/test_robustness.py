@@ -23,7 +23,7 @@ from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness
 def part(name, group, score, near):
     scores = {"rayiou": score, "rayiou_within_8.5m": near, "voxel/miou": score / 2}
     without = {key: [value - 0.01, value, value + 0.01] for key, value in scores.items()}
-    return PartScores(name, group, ["a", "b", "c"], 6, 12.0, scores, without)
+    return PartScores(name, group, ["a", "b", "c"], 6, 12.0, scores, without=without)
 
 
 def record(system, base, noise, views, setting="same"):

@@ -19,7 +19,7 @@ from omniocc.runs.robustness import FOLDER, Robustness, save_robustness
 from omniocc.runs.table import in_columns
 from omniocc.runs.trust import CONF
 from omniocc.runs.wandb import Loggers
-from omniocc.runs.wandb.robustness import log_robustness
+from omniocc.runs.wandb.loggers import log_robustness
 
 
 def score_robustness(options: Evaluation) -> None:
