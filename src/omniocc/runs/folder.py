@@ -13,13 +13,13 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from omniocc.config import PACKAGES, PACKAGES_VARIABLE, foreign_packages, own_code
+from omniocc.config import PACKAGES, PACKAGES_VARIABLE
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.runs.checkpoint_io import LAST, no_checkpoint, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
-from omniocc.runs.slots import sketch_learns
+from omniocc.runs.slots import foreign_packages, own_code, sketch_learns
 from omniocc.runs.weights import find_checkpoint
 
 METRICS = "metrics.json"

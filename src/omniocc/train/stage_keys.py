@@ -5,11 +5,11 @@ from typing import Any, NamedTuple, cast
 
 from omegaconf import DictConfig
 
-from omniocc.config import own_code, plain, target_of
+from omniocc.config import plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
 from omniocc.runs.folder import OF_MACHINES, short_hash, with_digests
-from omniocc.runs.slots import depth_learns, sketch_learns
+from omniocc.runs.slots import depth_learns, own_code, sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
