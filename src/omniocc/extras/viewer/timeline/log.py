@@ -20,7 +20,7 @@ from omniocc.extras.viewer.timeline.meshes import Mesh, class_meshes, difference
 from omniocc.extras.viewer.timeline.outlines import camera_outline
 from omniocc.extras.viewer.timeline.rays import ray_outcomes
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.output.range_files import point_cloud
 
 Ranges = tuple[Float32[Tensor, "h w"], Equirectangular]
 """A panorama of ranges, m, and its directions."""

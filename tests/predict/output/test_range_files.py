@@ -1,11 +1,14 @@
 import math
 
+import cv2
 import numpy as np
+import pytest
 import torch
 
 from omniocc.camera import Equidistant, Equirectangular, Rig
+from omniocc.model.depth import DepthMap
 from omniocc.predict import point_cloud, write_ply
-from omniocc.predict.output.point_cloud import PointCloud, point_colors
+from omniocc.predict.output.range_files import PointCloud, point_colors, write_depth
 
 # two cameras at the origin, one faces ahead, the other left; each sees 100 degrees to every side of its axis
 AHEAD = torch.tensor([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
@@ -77,3 +80,28 @@ def test_a_ply_file_read_back(tmp_path):
     assert write_ply(tmp_path / "points.ply", PointCloud(points, colors)) == 2
     rows = read_ply(tmp_path / "points.ply")
     assert [tuple(row) for row in rows] == [(1.5, -2.0, 0.25, 240, 241, 242), (-7.0, 8.0, 9.0, 246, 247, 248)]
+
+
+RANGE_M = torch.tensor([[1.0, 2.5, 0.001], [300.0, 7.0, 12.34]])
+VALID = torch.tensor([[True, True, True], [True, False, True]])
+
+
+def test_files_read_back(tmp_path):
+    depth = DepthMap(RANGE_M[None], RANGE_M[None], VALID[None], torch.full((1, 2, 3), 0.5))
+    cloud = PointCloud(torch.full((2, 3, 3), torch.nan).double(), torch.zeros(2, 3, 3, dtype=torch.uint8))
+    overview = np.full((4, 5, 3), 7, np.uint8)
+    count = write_depth(tmp_path / "a" / "b", depth, Equirectangular(3, 2, 40.0, -50.0), cloud, overview)
+    assert count == 0
+    code = cv2.imread(str(tmp_path / "a/b/range.png"), cv2.IMREAD_UNCHANGED)
+    known = VALID.numpy() & (RANGE_M.numpy() < 255)
+    assert (np.abs(code / 256 - RANGE_M.numpy())[known] <= 1 / 256).all()
+    assert code.dtype == np.uint16
+    assert code.tolist() == [[256, 640, 1], [65534, 0, 3159]]
+    kept = np.load(tmp_path / "a/b/range.npz")
+    assert np.array_equal(kept["range_m"], RANGE_M.masked_fill(~VALID, torch.nan).numpy(), equal_nan=True)
+    assert kept["range_m"].dtype == kept["confidence"].dtype == np.float32
+    assert (float(kept["top_deg"]), float(kept["bottom_deg"])) == (40.0, -50.0)
+    assert cv2.imread(str(tmp_path / "a/b/overview.png")).shape == (4, 5, 3)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OSError, match="file"):
+        write_depth(tmp_path / "file", depth, Equirectangular(3, 2, 40.0, -50.0), cloud, overview)

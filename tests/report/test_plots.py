@@ -5,8 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from omniocc.report.plots.figures import PLOTS, by_candidates, by_class, by_range, ranking, training, without_math
-from omniocc.report.plots.svg import as_svg
+from omniocc.report.plots import (
+    PLOTS,
+    as_svg,
+    by_candidates,
+    by_class,
+    by_range,
+    over_seeds,
+    ranking,
+    smoothed,
+    training,
+    without_math,
+)
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import by_row
 
@@ -84,3 +94,14 @@ def test_svg_stands_alone_and_follows_the_page(rows):
     used = re.findall(r'(?:url\(|href=")#([^)"]*)', svg)
     assert used
     assert set(used) <= set(names)
+
+
+def test_seeds_are_compared_at_the_steps_that_all_have():
+    curve = over_seeds([{10: 1.0, 20: 2.0, 30: 9.0}, {10: 3.0, 20: 2.5}])
+    assert curve.steps == [10, 20]
+    assert (curve.mean, curve.low, curve.high) == ([2.0, 2.25], [1.0, 2.0], [3.0, 2.5])
+    assert over_seeds([]).steps == []
+
+
+def test_smoothing_is_a_mean_of_neighbours():
+    assert smoothed({0: 0.0, 10: 3.0, 20: 6.0, 30: 0.0}, 3) == {0: 1.5, 10: 3.0, 20: 3.0, 30: 3.0}

@@ -4,20 +4,54 @@ Every function takes the runs of each row, in the order in which rows are drawn,
 to draw. matplotlib is the extra `plot`.
 """
 
+import io
 import math
+import re
+import statistics
 from collections.abc import Mapping, Sequence
-from typing import Any
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.figure import Figure as Canvas
 
-from omniocc.report.plots.curves import over_seeds, smoothed
+from omniocc.io import atomic_write
 from omniocc.report.runs import FRACTION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
+from omniocc.report.tables.robustness import system_names
 from omniocc.report.tables.training import RunsByRow
 from omniocc.runs.curves import read_curve
+from omniocc.runs.robustness import Robustness, drop_of
 from omniocc.runs.table import band_keys
+
+
+class Curve(NamedTuple):
+    """Mean, lowest and highest value over seeds, at each step recorded for all seeds."""
+
+    steps: list[int]
+    mean: list[float]
+    low: list[float]
+    high: list[float]
+
+
+def over_seeds(curves: Sequence[dict[int, float]]) -> Curve:
+    """Return the curves of several seeds as one."""
+    steps = sorted(set.intersection(*(set(curve) for curve in curves))) if curves else []
+    values = [[curve[step] for curve in curves] for step in steps]
+    return Curve(steps, [statistics.mean(v) for v in values], [min(v) for v in values], [max(v) for v in values])
+
+
+def smoothed(curve: dict[int, float], window: int = 5) -> dict[int, float]:
+    """Return the moving mean over `window` values, fewer at the ends."""
+    steps, half = sorted(curve), window // 2
+    return {
+        step: statistics.mean(curve[near] for near in steps[max(0, k - half) : k + half + 1])
+        for k, step in enumerate(steps)
+    }
+
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 
@@ -203,3 +237,71 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
 def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:
     handles, labels = axes.get_legend_handles_labels()
     canvas.legend(handles, labels, loc="outside upper left", ncols=min(5, max(len(rows), 1)), fontsize=9)
+
+
+@rc_context(STYLE)
+def drops(records: Sequence[Robustness]) -> Canvas:
+    """Draw the drop of RayIoU by disturbance, a bar for each system; whiskers are standard errors over scenes."""
+    names = list(dict.fromkeys(part.part for record in records for part in record.disturbed))
+    height = 0.84 / len(records)
+    canvas = Canvas(figsize=(8.6, 1.0 + max(0.2, 0.13 * len(records)) * len(names)), layout="constrained")
+    axes = canvas.subplots()
+    for number, (record, label) in enumerate(zip(records, system_names(records), strict=True)):
+        found = {part.part: drop_of(part, record.undisturbed) for part in record.disturbed}
+        places = [names.index(name) - 0.42 + (number + 0.5) * height for name in found]
+        errors = [0.0 if math.isnan(drop.error) else drop.error for drop in found.values()]
+        color = colormaps["tab10"].colors[number % 10]  # type: ignore[attr-defined]
+        values = [drop.value for drop in found.values()]
+        axes.barh(places, values, height * 0.92, color=color, label=label)
+        axes.errorbar(values, places, xerr=errors, fmt="none", **WHISKER)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.tick_params(axis="y", length=0, labelsize=8)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("drop of RayIoU (whiskers: standard error over scenes)")
+    canvas.legend(loc="outside upper left", ncols=4, fontsize=9)
+    return canvas
+
+
+SMALLEST, LARGEST = 0.65, 1.5
+"""Scales between which a page may resize a plot; on narrower pages it scrolls."""
+
+
+def save_svg(figure: Figure, path: Path) -> None:
+    """Write a figure on white to a file, the same bytes for the same figure."""
+    buffer = io.BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+    atomic_write(path, buffer.getvalue())
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the PNG file of a figure on white."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, facecolor="white")
+    return buffer.getvalue()
+
+
+def as_svg(figure: Figure, name: str, title: str) -> str:
+    """Return a figure as an `<svg>` element.
+
+    Args:
+        figure: a figure with text in `INK` and lines in `LINE`.
+        name: prefix of every id, so that several figures can be in one page.
+        title: description for screen readers.
+    """
+    buffer = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:href", "href")
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r"(url\(|href=\")#", rf"\1#{name}-", svg)
+    svg = re.sub(r"<style.*?</style>|font-family:[^;\"]*;? ?", "", svg, flags=re.DOTALL)
+    svg = svg.replace(INK, "currentColor").replace(LINE, "var(--line)")
+    width_px = figure.get_figwidth() * 96
+    size = f"min-width: {SMALLEST * width_px:.0f}px; max-width: {LARGEST * width_px:.0f}px"
+    head = f'<svg role="img" aria-label="{escape(title)}" style="{size}" viewBox'
+    return re.sub(r"<svg[^>]*?viewBox", lambda _: head, svg, count=1)

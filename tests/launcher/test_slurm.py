@@ -9,8 +9,7 @@ import time
 import pytest
 from submitit.core.utils import UncompletedJobError
 
-from hydra_plugins.process_launcher.slurm import LOST, Submitted, refusal
-from hydra_plugins.process_launcher.slurm_job import LIMIT, STOP, SlurmJob, code_file, log_of
+from hydra_plugins.process_launcher.slurm import LIMIT, LOST, STOP, SlurmJob, Submitted, code_file, log_of, refusal
 
 SAVES = """
 import signal, sys, time

@@ -1,9 +1,11 @@
-"""Coloured point clouds of range panoramas."""
+"""Files of predicted ranges: panoramas, and coloured point clouds as PLY."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64, UInt8
@@ -11,8 +13,39 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Camera, Equirectangular, Rig, normalize_pixels
+from omniocc.data.store.codec import quantize_range
+from omniocc.draw import save_png
 from omniocc.io import atomic_write
-from omniocc.predict.output.ply import ply_bytes
+from omniocc.model.depth import DepthMap
+
+VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
+_PLY_TYPES = {"f4": "float", "u1": "uchar"}
+
+
+def ply_bytes(points_m: np.ndarray, colors: np.ndarray, triangles: np.ndarray | None = None) -> bytes:
+    """Return the content of a binary PLY file, with float coordinates in metres and uchar colours.
+
+    Args:
+        points_m: (V, 3), ego frame.
+        colors: (V, 3) uint8 RGB.
+        triangles: (T, 3) indices of points; None for a point cloud.
+    """
+    vertices = np.empty(len(points_m), VERTEX)
+    for k, name in enumerate("xyz"):
+        vertices[name] = points_m[:, k]
+    for k, name in enumerate(("red", "green", "blue")):
+        vertices[name] = colors[:, k]
+    fields = [f"property {_PLY_TYPES[VERTEX[name].str[1:]]} {name}" for name in VERTEX.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", "comment ego frame: x forward, y left, z up; metres"]
+    header += [f"element vertex {len(vertices)}", *fields]
+    body = vertices.tobytes()
+    if triangles is not None:
+        faces = np.empty(len(triangles), TRIANGLE)
+        faces["count"], faces["corners"] = 3, triangles
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        body += faces.tobytes()
+    return "\n".join([*header, "end_header", ""]).encode("ascii") + body
 
 
 class PointCloud(NamedTuple):
@@ -81,3 +114,34 @@ def write_ply(path: Path, cloud: PointCloud) -> int:
     points = cloud.points_m[known].numpy()
     atomic_write(path, ply_bytes(points, cloud.colors[known].numpy()))
     return len(points)
+
+
+def write_depth(
+    folder: Path, depth: DepthMap, panorama: Equirectangular, cloud: PointCloud, overview: np.ndarray
+) -> int:
+    """Write `range.png`, `range.npz`, `points.ply` and `overview.png` of one frame; return the number of points.
+
+    `range.png` is 16 bit, 1/256 m per step as in KITTI's depth maps; 0: no range. `range.npz` holds `range_m` (nan
+    where there is no range) and `confidence`, float32 of (height, width), and the panorama's edges `top_deg` and
+    `bottom_deg`.
+
+    The folder is created if it is missing. `panorama` has the directions of the pixels, `overview` is (H, W, 3) uint8
+    RGB.
+
+    Raises:
+        DataError: naming the path that cannot be written.
+    """
+    range_m = depth.known_range_m()[0]
+    _, data = cv2.imencode(".png", quantize_range(range_m.numpy()))
+    atomic_write(folder / "range.png", data.tobytes())
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        range_m=range_m.numpy(),
+        confidence=depth.confidence[0].float().numpy(),
+        top_deg=panorama.top_deg,
+        bottom_deg=panorama.bottom_deg,
+    )
+    atomic_write(folder / "range.npz", content.getvalue())
+    save_png(folder / "overview.png", overview)
+    return write_ply(folder / "points.ply", cloud)

@@ -1,7 +1,7 @@
 """Baseline and upper bound of every grid."""
 
+from omniocc.report.chapters import bounds_cells
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.bounds import bounds_cells
 
 METRICS = {"prior/rayiou": 0.06, "prior/lidar/rayiou": 0.07, "label/rayiou": 1.0, "label/lidar/rayiou": 0.41}
 
