@@ -79,7 +79,7 @@ def test_the_ego_moves_and_static_points_stay_where_they_are(scene, frame):
         for point in ground[::7]
         if (key := (int(point[0] // 0.5), int(point[1] // 0.5))) in cell
     ]
-    assert shift >= 0
+    assert shift > 1
     assert len(gaps) > 200
     assert np.percentile(gaps, 95) < 0.1
 
@@ -132,9 +132,11 @@ def test_box_in_the_ego_frame():
     assert (box.id, box.label, box.size_m) == (7, 7, (4.0, 2.0, 1.5))
 
 
-def test_boxes_hold_the_points_of_their_actors(scene, frame):
+def test_boxes_hold_the_points_of_their_actors():
+    frame = Scene("arterial", 5, Rig.load("fisheye6").resized(32, 18), erp_size=(32, 8)).frame(0)
     cars = [box for box in frame.boxes if box.label == 7 and np.hypot(*box.center_m[:2]) < 20]
     points = frame.points_m[frame.point_labels == 7]
+    assert len(cars) == 2
     for box in cars:
         cos, sin = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
         local = (points[:, :2] - box.center_m[:2]) @ np.array([[cos, -sin], [sin, cos]])

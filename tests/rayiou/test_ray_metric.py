@@ -1,9 +1,7 @@
-import copy
 import datetime
 import itertools
 import math
 import os
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -245,17 +243,6 @@ def test_compute_after_more_rays_is_not_stale():
     assert metric.compute()["rayiou/4"].item() == 0.5
     metric.reset()
     assert metric.truth.sum() == 0
-
-
-def test_pickle_clone_and_move():
-    prediction, target = frames(CUBOID, 1)
-    metric = RayIoU(CUBOID, range_edges_m=(0.0, 5.0, 10.0))
-    metric.update(prediction, target)
-    for twin in (pickle.loads(pickle.dumps(metric)), copy.deepcopy(metric), metric.clone(), metric.to("cpu").half()):
-        assert torch.equal(twin.compute()["rayiou"], metric.compute()["rayiou"])
-        twin.update(prediction.long(), target.short())
-        assert twin.truth.dtype == torch.int64
-    assert metric.state_dict() == {}
 
 
 @pytest.mark.parametrize(

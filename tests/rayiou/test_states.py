@@ -173,6 +173,7 @@ def test_states_of_before_there_was_a_setting_are_added():
 
 def test_saved_states_are_loaded(name):
     metric = counted(name, 0)
+    assert metric.state_dict() == {}  # unless they are asked for
     metric.persistent(True)
     saved = metric.state_dict()
     twin = counted(name, 1)

@@ -220,7 +220,9 @@ def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.ran
 
 def _tone_curve() -> np.ndarray:
     value = np.arange(4096) / 1024
+    # Reinhard's curve with a white point (2002, eq. 4) of 3, its shoulder flatter and all brighter: white from 2.08 on
     shoulder = value * (1 + value / 9) / (1 + 0.85 * value) * 1.08
+    # the encoding of sRGB, IEC 61966-2-1
     encoded = np.where(shoulder < 0.0031308, 12.92 * shoulder, 1.055 * np.maximum(shoulder, 1e-6) ** (1 / 2.4) - 0.055)
     return np.clip(np.rint(255 * encoded), 0, 255).astype(np.uint8)
 

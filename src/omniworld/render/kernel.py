@@ -96,6 +96,7 @@ def sky_color(x, y, z, clouds, light):
     fade = (1 - up) * (1 - up) * (1 - up)
     sun = light.sun_direction
     toward_sun = min(max(sun[0] * x + sun[1] * y + sun[2] * z, 0.0), 1.0)
+    # powers by squaring: `near`, the 8th, is half at 24 degrees from the sun, `center`, the 256th, at 4
     near = toward_sun * toward_sun
     near *= near
     near *= near
@@ -105,7 +106,7 @@ def sky_color(x, y, z, clouds, light):
     center *= center
     center *= center
     glow = light.glow * (0.35 * near + 3.0 * center)
-    stretch = CLOUDS_PX * 0.16 / (up + 0.18)
+    stretch = CLOUDS_PX * 0.16 / (up + 0.18)  # clouds on a plane overhead; the addend keeps them finite at the horizon
     column = int(x * stretch + light.cloud_shift[0] * CLOUDS_PX) & (CLOUDS_PX - 1)
     row = int(y * stretch + light.cloud_shift[1] * CLOUDS_PX) & (CLOUDS_PX - 1)
     density = (clouds[row * CLOUDS_PX + column] - (1 - light.cloud_cover)) * 3.5
@@ -138,7 +139,7 @@ def sample(layer, ground_step, u_m, v_m, footprint_m, texels, texel_sizes_m, mac
     if v_m < STOREY_M:
         layer += ground_step
     texel_m = texel_sizes_m[layer]
-    level, width_m = 0, footprint_m
+    level, width_m = 0, footprint_m  # the coarsest level whose texels are no wider than the pixel
     while width_m >= 2 * texel_m and level < LEVELS - 1:
         width_m *= 0.5
         level += 1
@@ -219,6 +220,7 @@ def shade_rays(hits, dark, directions, origin, table, atlas, clouds, pools, ligh
         u, v = weights_u[ray], weights_v[ray]
         u_m = table[face, _U] + u * table[face, _U1] + v * table[face, _U2]
         v_m = table[face, _U + 1] + u * table[face, _U1 + 1] + v * table[face, _U2 + 1]
+        # a pixel is 1 / cosine times as long as wide on a slanted surface: the geometric mean of both
         footprint_m = range_m * pixel_rad / sqrt(max(cosine, 0.05))
         code = int(table[face, LAYER])
         tint, own_red, own_green, own_blue = sample(
@@ -308,7 +310,7 @@ def average(color, pixels, others, other_color, count):
                 if used < len(others) and others[used] == ray:
                     value = other_color[channel, used]
                     used += 1
-                total += min(value, 4.0)
+                total += min(value, 4.0)  # where the tone curve ends, at exposure 1
             color[channel, pixels[place]] = total / (count + 1)
 
 
@@ -320,5 +322,6 @@ def develop_channel(linear, gain, balance, read_noise, shot_noise, grain, start,
     last = len(curve) - 1
     for pixel in range(len(linear)):
         value = max(linear[pixel] * (gain[pixel] * balance), 0.0)
+        # the variance of shot noise grows with the light
         value += grain[(start + pixel) % size] * (read_noise + shot_noise * sqrt(min(value, 1.0)))
         rgb[pixel, channel] = curve[int(min(max(value * 1024, 0.0), last))]

@@ -92,6 +92,7 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
     steps = np.arange(-int(_POOL_M / LAMP_CELL_M), int(_POOL_M / LAMP_CELL_M) + 1)
     distance = np.hypot(*np.meshgrid(steps * LAMP_CELL_M, steps * LAMP_CELL_M))
     rim = np.clip((_POOL_M - distance) / 8, 0, 1)
+    # inverse square of the distance times the cosine to the ground, for a lamp of this height; it fades out at the rim
     stamp = (rim * (1 + (distance / _HEIGHT_M) ** 2) ** -1.5).astype(np.float32)
     for x, y in places:
         rows, columns = ((np.floor(value / LAMP_CELL_M).astype(int) + steps) % LAMP_CELLS for value in (x, y))

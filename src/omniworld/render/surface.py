@@ -88,6 +88,7 @@ def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
     parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
     key = np.zeros(len(mesh), np.uint32)
     for part in parts:
+        # as the hash FNV-1a, whose prime this is
         key = (key ^ part.astype(np.int64).astype(np.uint32)) * np.uint32(16777619)
     return key.view(np.int32)
 

@@ -22,6 +22,7 @@ def within_reach(points_m: np.ndarray) -> np.ndarray:
 def cubes(points_m: np.ndarray) -> np.ndarray:
     """Return (P,) int32 number of the 0.1 m cube of each point; repeats after 102.4 m, in z after 12.8 m."""
     x, y, z = np.floor(points_m.T * np.float32(1 / CUBE_M)).astype(np.int32)
+    # the lowest 22 bits choose the entry of `scratch`: they differ for cubes less than 25.6 m (in z 6.4 m) apart
     near = ((x & 255) << 8 | (y & 255)) << 6 | (z & 63)
     return ((x >> 8 & 3) << 3 | (y >> 8 & 3) << 1 | (z >> 6 & 1)) << 22 | near
 

@@ -133,8 +133,10 @@ def test_the_ego_moves_smoothly(theme: str) -> None:
     assert (pitch_and_roll < 0.08).all()
 
 
-def test_any_time_in_any_order() -> None:
-    place, traffic = world("suburb")
+@pytest.mark.parametrize("theme", ["suburb", "downtown"])
+def test_any_time_in_any_order(theme: str) -> None:
+    """Steps are simulated once and remembered; reading them changes nothing."""
+    place, traffic = world(theme)
     again = Traffic(place, 3)
     later, first = again.actors(50.0), again.actors(4.0)
     for mine, theirs in ((traffic.actors(4.0), first), (traffic.actors(50.0), later)):
@@ -214,17 +216,6 @@ def test_traffic_lights_agree_with_the_cars() -> None:
                     shown[flow.signal(lane.end, time_s)] += 1
         assert sum(shown.values()) > 50
         assert shown[0] > shown[2]
-
-
-def test_later_steps_do_not_depend_on_earlier_queries() -> None:
-    """Remembered steps are never simulated twice, and reading them changes nothing."""
-    _, queried = world("downtown")
-    for time_s in (30.0, 3.0, 90.0):
-        queried.actors(time_s)[1]
-    fresh = Traffic(places.build("downtown", 3), 3)
-    for mine, theirs in zip(queried.actors(60.0)[1], fresh.actors(60.0)[1], strict=True):
-        assert mine.id == theirs.id
-        np.testing.assert_array_equal(mine.world_from_actor, theirs.world_from_actor)
 
 
 def test_ego_car_stands_below_the_rig() -> None:
