@@ -287,7 +287,7 @@ def test_masks_as_arrays(tmp_path):
 
 OWN = {
     "omniocc/images.py", "omniocc/data/store/codec.py", "omniocc/data/augment/degrade.py", "omniocc/report/frames.py",
-    "omniocc/extras/robustness/command.py",
+    "omniocc/extras/robustness/evaluation.py",
 }  # fmt: skip
 """Files that may decode images: the reader of users' files; what this program itself has written or holds in memory."""
 

@@ -8,8 +8,7 @@ from rival_files import FISHEYE3DOD_FOCAL_PX, WALL_M, fisheye3dod_points, write_
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
 from omniocc.errors import DataError, UserError
-from omniocc.extras.datasets.fisheye3dod import Fisheye3DOD, town_of
-from omniocc.extras.datasets.fisheye3dod_files import read_points, read_poses
+from omniocc.extras.datasets.fisheye3dod import Fisheye3DOD, read_points, read_poses, town_of
 from omniocc.geometry import Cuboid
 
 TOWNS = {"train": ["Town01"], "val": ["Town03"], "test": ["Town02"]}

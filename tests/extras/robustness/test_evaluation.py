@@ -15,7 +15,7 @@ from omniocc.data import collate
 from omniocc.data.dataset import WindowDataset
 from omniocc.errors import UserError
 from omniocc.extras.robustness import evaluation
-from omniocc.extras.robustness.disturb.disturbed_scene import disturb_scene
+from omniocc.extras.robustness.disturbance import disturb_scene
 from omniocc.extras.robustness.evaluation import DIGITS, RobustnessTest, robustness_of, with_each_left_out
 from omniocc.extras.robustness.parts import parts_of
 from omniocc.parts import Parts

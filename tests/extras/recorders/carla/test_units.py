@@ -12,9 +12,18 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.errors import UserError
 from omniocc.extras.carla_tags import NEW, OLD, class_table, tags_of
 from omniocc.extras.recorders.carla import client
-from omniocc.extras.recorders.carla.decode import POINT, inverse_depth_of, read_bgra, read_points, rgb_of, tags_in
 from omniocc.extras.recorders.carla.frames import smooth
-from omniocc.extras.recorders.carla.sensors import camera_cubes, cube_sensors, lidar_sensors
+from omniocc.extras.recorders.carla.sensors import (
+    POINT,
+    camera_cubes,
+    cube_sensors,
+    inverse_depth_of,
+    lidar_sensors,
+    read_bgra,
+    read_points,
+    rgb_of,
+    tags_in,
+)
 from omniocc.extras.unreal import UnrealPose, pose_of, right_handed, right_handed_points, unreal_pose
 
 

@@ -12,8 +12,7 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.extras.viewer.collect import open_shown
 from omniocc.extras.viewer.frames import Shown
 from omniocc.extras.viewer.options import ViewOptions
-from omniocc.extras.viewer.timeline.paths import grid_name
-from omniocc.extras.viewer.timeline.show import show
+from omniocc.extras.viewer.timeline.log import grid_name, show
 from rayiou.surface import surface, with_area
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")

@@ -8,9 +8,8 @@ from jaxtyping import UInt8
 from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
 from omniocc.extras.recorders import Finding
-from omniocc.extras.recorders.carla.decode import inverse_depth_of, read_bgra, tags_in
 from omniocc.extras.recorders.carla.frames import ACTOR_CLASSES, RawFrame, actor_of, scans_of
-from omniocc.extras.recorders.carla.sensors import Cube, Spec
+from omniocc.extras.recorders.carla.sensors import Cube, Spec, inverse_depth_of, read_bgra, tags_in
 from omniocc.extras.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
 
 POSE_M, POSE_RAD = 0.02, np.radians(0.2)

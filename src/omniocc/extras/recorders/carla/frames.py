@@ -13,8 +13,7 @@ from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
 from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
-from omniocc.extras.recorders.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
-from omniocc.extras.recorders.carla.sensors import Cube
+from omniocc.extras.recorders.carla.sensors import Cube, Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.extras.unreal import right_handed, right_handed_points
 from omniocc.frame import Box
 from omniworld import Frame
