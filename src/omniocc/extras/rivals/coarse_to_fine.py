@@ -77,7 +77,7 @@ class CoarseToFine(nn.Module):
         self.splat = LiftSplat(grids[0], in_channels, in_channels, levels, bins, range_m)
         self.reach_m = self.splat.reach_m
         self.colorings = nn.ModuleList(
-            Coloring(grid, in_channels, levels, depth, heads, samples, feedforward_channels)
+            Coloring(grid, in_channels, levels, depth, heads, samples, feedforward_channels=feedforward_channels)
             for grid, depth, samples in zip(grids, layers, points, strict=True)
         )
         self.mixers = nn.ModuleList(residual3d(in_channels, geometry.periodic) for _ in most)

@@ -231,7 +231,7 @@ class RobustnessTest:
             advance()
         scores, without = with_each_left_out(list(by_scene.values()))
         seconds = round(time.monotonic() - started, 1)
-        return PartScores(part.name, part.group, list(by_scene), len(windows), seconds, scores, without)
+        return PartScores(part.name, part.group, list(by_scene), len(windows), seconds, scores, without=without)
 
     def _scenes(self, source: SceneSource) -> Sequence[SceneFrames]:
         return source.scenes("test")[: self.scenes]
@@ -285,7 +285,7 @@ def score_robustness(options: Evaluation) -> None:
     def score(checkpoint: Path) -> None:
         folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
         one, wanted = opened(checkpoint, others), options.robustness or ()
-        record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder)
+        record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder=folder)
         save_robustness(folder, record)
         atomic_write(folder / "table.md", parts_text(report_parts([record])))
         atomic_write(folder / "table.csv", robustness_csv([record], {}))
