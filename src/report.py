@@ -17,11 +17,12 @@ from pathlib import Path
 
 from omniocc.report.archive import folder_of, is_archive
 from omniocc.report.datasets import dataset_part, load_dataset_table, with_folders
+from omniocc.report.docs import write_documentation
 from omniocc.report.keep import keep_records
 from omniocc.report.sweep import read_sweeps
 from omniocc.report.tables.compare import comparison_text
 from omniocc.report.tables.formats import parts_text
-from omniocc.report.write import write_documentation, write_report
+from omniocc.report.write import write_report
 from omniocc.runs.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"

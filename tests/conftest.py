@@ -15,6 +15,9 @@ from omegaconf import DictConfig
 
 from omniocc.data import SourceSpec
 from omniocc.model import OccupancyModel
+from omniocc.parts import Parts
+from omniocc.train import OccupancyTask
+from omniocc.train.build import build_task
 from omniworld.source import world_spec
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -129,3 +132,14 @@ def spec() -> SourceSpec:
 def smoke(composed) -> Callable[..., DictConfig]:
     """Compose `train.yaml` at the smallest sizes."""
     return functools.partial(composed, "preset=smoke")
+
+
+@pytest.fixture(scope="session")
+def make_task(smoke, spec) -> Callable[..., OccupancyTask]:
+    """Build the task of the last stage at the smallest sizes."""
+
+    def make(*overrides: str) -> OccupancyTask:
+        torch.manual_seed(0)
+        return build_task(Parts(smoke(*overrides)), spec)
+
+    return make

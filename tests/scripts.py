@@ -1,32 +1,32 @@
-"""Run the scripts of `src/` in processes that are forked from one whose imports are done.
+"""Run the scripts of `src/` as copies of one process whose imports are done (`omniocc.runs.fork_server`).
 
-Imports take about nine seconds of processor time, a fork a few milliseconds. Everything else is as when the script is
-started from a shell: arguments, working folder, environment, output and exit code. A process of tests has one server.
+Imports take about nine seconds of processor time, a copy a few milliseconds. Everything else is as when the script is
+started from a shell: arguments, working folder, environment, output and exit code. A process of tests has one server,
+which runs this file: it imports all scripts, and a copy becomes one of them.
 """
 
 import atexit
 import contextlib
 import functools
-import gc
 import json
 import os
 import resource
 import runpy
-import select
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+SRC = Path(__file__).parents[1] / "src"
 SCRIPTS = ["train.py", "evaluate.py", "predict.py", "check.py", "export.py", "mask.py", "record.py", "render.py"]
 SCRIPTS += ["report.py", "view.py"]
-PYTHONPATH = "PYTHONPATH"
+LOOK_EVERY_S = 0.02
 
 
 def run_script(
@@ -52,111 +52,82 @@ def run_script(
     Raises:
         subprocess.TimeoutExpired: when it takes longer.
     """
-    command = [str(ROOT / "src" / name), *arguments]
-    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        request = {"argv": command, "cwd": str(cwd or Path.cwd()), "environment": {**os.environ, **environment}}
-        request["memory_bytes"] = memory_bytes
-        code = _ask(request, [output.fileno(), errors.fileno()], timeout_s, kill_when)
-        texts = [file.read() for file in (output, errors) if file.seek(0) == 0]
-    return subprocess.CompletedProcess(command, code, *texts)
-
-
-def _ask(request: dict[str, Any], files: list[int], timeout_s: float, kill_when: Callable[[], bool]) -> int:
-    """Let the server run a script; return its exit code."""
-    server = _server()
-    assert server.stdin is not None
-    assert server.stdout is not None
-    request["files"] = [f"/proc/{os.getpid()}/fd/{number}" for number in files]
-    server.stdin.write(json.dumps(request).encode() + b"\n")
-    group = int(server.stdout.readline())
-    deadline = time.monotonic() + timeout_s
-    ended = False
-    try:
-        while not (ended := bool(select.select([server.stdout], [], [], 0.02)[0])) and not kill_when():
-            if time.monotonic() > deadline:
-                raise subprocess.TimeoutExpired(request["argv"], timeout_s)
-    finally:
-        if not ended:
-            _kill(group)
-        code = int(server.stdout.readline())  # in any case, else the next script would get it
-    return code
-
-
-def _kill(group: int) -> None:
-    """Kill the processes of a group; do nothing if they have just ended."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(group, signal.SIGKILL)
+    command = [str(SRC / name), *arguments]
+    with tempfile.TemporaryDirectory() as folder:
+        output, errors = Path(folder) / "output", Path(folder) / "errors"
+        place = {"cwd": str(cwd or Path.cwd()), "errors": str(errors), "memory_bytes": memory_bytes}
+        server, log = _server()
+        copy = server.start([json.dumps(place), *command], {**os.environ, **environment}, output)
+        deadline = time.monotonic() + timeout_s
+        try:
+            while copy.poll() is None and not kill_when():
+                if time.monotonic() > deadline:
+                    raise subprocess.TimeoutExpired(command, timeout_s)
+                time.sleep(LOOK_EVERY_S)
+        finally:
+            while copy.poll() is None:
+                if copy.pid is not None:
+                    with contextlib.suppress(ProcessLookupError):  # it has just ended
+                        os.killpg(copy.pid, signal.SIGKILL)
+                time.sleep(LOOK_EVERY_S)
+        texts = [path.read_text() if path.exists() else log.read_text() for path in (output, errors)]
+    return subprocess.CompletedProcess(command, copy.poll() or 0, *texts)
 
 
 @functools.cache
-def _server() -> "subprocess.Popen[bytes]":
-    """Start the process from which scripts are forked; it ends with this one."""
-    return start(sys.executable, __file__)
+def _server() -> tuple[Any, Path]:
+    """Return the process from which scripts are copied, and the file of what its imports print."""
+    from omniocc.runs.fork_server import ForkServer  # not in the server, which imports as a script does
+
+    log = Path(tempfile.mkstemp(prefix="imports-", suffix=".log")[1])
+    return ForkServer(Path(__file__), log), log
 
 
-def start(*command: str) -> "subprocess.Popen[bytes]":
-    """Start a process that is asked by lines, without buffers: `select` sees every line that was not read yet."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", PYTHONPATH: str(ROOT / "src")}
-    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
-
-
-def _serve() -> dict[str, Any]:
-    """Answer each request with a process group and an exit code; in the process that is forked, return the request."""
-    import wandb.sdk.launch.inputs.internal  # noqa: F401  imported by every run with curves when it begins
-
-    for script in SCRIPTS:
-        runpy.run_path(str(ROOT / "src" / script), run_name="imported")
-    gc.collect()
-    gc.freeze()
-    while line := sys.stdin.readline():
-        process = os.fork()
-        if process == 0:
-            os.setpgid(0, 0)
-            return json.loads(line)
-        os.setpgid(process, process)  # by both, since either may be the first
-        print(process, flush=True)
-        print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
-    sys.exit()
-
-
-def _become(request: dict[str, Any]) -> None:
-    """Take over the arguments, folder, environment and files of a request."""
-    output, errors = (os.open(path, os.O_WRONLY | os.O_APPEND) for path in request["files"])
-    for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), output, errors)):
-        os.dup2(file, number)
+def become(place: dict[str, Any], command: list[str]) -> None:
+    """Take over the folder, the error output and the limit of a request."""
+    os.dup2(os.open(place["errors"], os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
     from wandb.sdk.data_types._private import MEDIA_TMP
 
     Path(MEDIA_TMP.name).mkdir(exist_ok=True)  # the script before has removed it at its end
-    os.chdir(request["cwd"])
-    os.environ.clear()
-    os.environ.update(request["environment"])
+    os.chdir(place["cwd"])
     tempfile.tempdir = None  # of this environment, not of the server's
-    if request["memory_bytes"] is not None:
+    if place["memory_bytes"] is not None:
         mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (mapped + request["memory_bytes"],) * 2)
-    sys.argv = request["argv"]
-    sys.path[:0] = [folder for folder in os.environ.get(PYTHONPATH, "").split(os.pathsep) if folder]
+        resource.setrlimit(resource.RLIMIT_AS, (mapped + place["memory_bytes"],) * 2)
+    sys.argv = command
+    sys.path[:0] = [folder for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep) if folder]
 
 
-def _run(path: str) -> int:
-    """Run a script and return its exit code, after all that Python does at its end but for taking modules apart."""
+def run(path: str) -> int:
+    """Run a script and return its exit code, after all that Python does at its end but for taking modules apart.
+
+    That takes 0.3 s, longer than most scripts of tests.
+    """
     code: Any = 0
     try:
         runpy.run_path(path, run_name="__main__")
     except SystemExit as end:
         code = end.code
     except BaseException:
-        sys.excepthook(*sys.exc_info())
+        traceback.print_exc()
         code = 1
     if isinstance(code, str):
         print(code, file=sys.stderr)
+        code = 1
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
-    return int(bool(code)) if isinstance(code, str) else int(code or 0)
+    return int(code or 0)
 
+
+if __name__ == "imported":
+    sys.path[0] = str(SRC)  # as if one of the scripts had been started
+    import wandb.sdk.launch.inputs.internal  # noqa: F401  imported by every run with curves when it begins
+
+    for script in SCRIPTS:
+        runpy.run_path(str(SRC / script), run_name="imported")
 
 if __name__ == "__main__":
-    _become(request := _serve())
-    os._exit(_run(request["argv"][0]))
+    become(json.loads(sys.argv[1]), sys.argv[2:])
+    os._exit(run(sys.argv[0]))

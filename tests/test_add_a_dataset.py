@@ -56,9 +56,15 @@ def test_the_code_of_the_page_reads_checks_and_trains(tmp_path):
     assert [script for script, _ in commands] == ["check.py", "train.py"]
     more = {
         "check.py": ["preset=tiny", "--workers", "0"],  # cells of 1.6 m, as of smoke, would leave none of the voxels
-        "train.py": ["preset=smoke", "logger.mode=disabled", "test_images=0", "stages.occupancy.max_steps=2",
-                     "stages.depth.max_steps=2", "stages.sketch.max_steps=2"],
-    }  # fmt: skip
+        "train.py": [
+            "preset=smoke",
+            "logger.mode=disabled",
+            "test_images=0",
+            "stages.occupancy.max_steps=2",
+            "stages.depth.max_steps=2",
+            "stages.sketch.max_steps=2",
+        ],
+    }
     for script, arguments in commands:
         words = arguments.replace("/data/my_town", str(tmp_path / "my_town")).split()
         result = run_script(

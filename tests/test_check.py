@@ -39,8 +39,10 @@ def test_all_problems_are_listed_at_once_each_in_a_line(root):
     assert result.returncode == 1
     lines = [line for line in result.stdout.splitlines() if line.startswith("Occ3D-nuScenes, scene")]
     assert [line.split(":")[0].split("'", 1)[1] for line in lines] == [
-        "scene-0001', frame 1", "scene-0002', frame 0", "scene-0003', frame 1",
-    ]  # fmt: skip
+        "scene-0001', frame 1",
+        "scene-0002', frame 0",
+        "scene-0003', frame 1",
+    ]
     assert "3 problems" in result.stderr
     first = check(root, "--frames", "1")
     assert "1 problem" in first.stderr, first.stdout

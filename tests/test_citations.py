@@ -15,8 +15,13 @@ SECTIONS = {
     "VI": "",  # conclusion
 }
 OF_SLOT = {
-    "depth": "IV-B", "sketch": "IV-B", "lifter": "IV-C", "semantic_head": "IV-D", "temporal": "IV-E", "refiner": "IV-F"
-}  # fmt: skip
+    "depth": "IV-B",
+    "sketch": "IV-B",
+    "lifter": "IV-C",
+    "semantic_head": "IV-D",
+    "temporal": "IV-E",
+    "refiner": "IV-F",
+}
 CITATION = re.compile(r"section ([IVX]+)(?:-([A-Z]))?\b")
 FILES = [
     path

@@ -166,12 +166,20 @@ def test_a_value_the_constructor_refuses_is_named():
 @pytest.mark.parametrize(
     ("value", "hint", "expected"),
     [
-        (1, int, True), (True, int, False), (1, float, True), ("1", float, False), (10**400, float, False),
-        ([1, 2], tuple[int, int], True), ([1, 2, 3], tuple[int, int], False), ([1, "a"], list[int], False),
-        (None, int | None, True), ("a", Literal["a", "b"], True),
-        ("c", Literal["a", "b"], False), ([1.0, 2], tuple[float, ...], True),
+        (1, int, True),
+        (True, int, False),
+        (1, float, True),
+        ("1", float, False),
+        (10**400, float, False),
+        ([1, 2], tuple[int, int], True),
+        ([1, 2, 3], tuple[int, int], False),
+        ([1, "a"], list[int], False),
+        (None, int | None, True),
+        ("a", Literal["a", "b"], True),
+        ("c", Literal["a", "b"], False),
+        ([1.0, 2], tuple[float, ...], True),
     ],
-)  # fmt: skip
+)
 def test_fits(value, hint, expected):
     assert fits(value, hint) is expected
 

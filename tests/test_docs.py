@@ -17,10 +17,13 @@ PAGES += sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in page.parts]
 
 EXAMPLES = {
-    "src/omniocc/model/refiner/my_refiner.py", "conf/model/refiner/my_refiner.yaml",
-    "tests/model/refiner/test_my_refiner.py", "omniocc.model.refiner.my_refiner",
-    "omniocc.model.refiner.my_refiner.MyRefiner", "sweeps/my_lifters.yaml",
-}  # fmt: skip
+    "src/omniocc/model/refiner/my_refiner.py",
+    "conf/model/refiner/my_refiner.yaml",
+    "tests/model/refiner/test_my_refiner.py",
+    "omniocc.model.refiner.my_refiner",
+    "omniocc.model.refiner.my_refiner.MyRefiner",
+    "sweeps/my_lifters.yaml",
+}
 """What a reader is to write, as is everything below `mylib/`."""
 
 FILE = re.compile(r"(?<![\w/.<>:-])(?:src|conf|docs|tests|tools|sweeps|notebooks|\.github)(?:/[\w*][\w.*-]*)+")

@@ -55,9 +55,15 @@ def test_warps_agree_with_their_plain_version_on_a_second_device(grid):
 
 def run(folder: Path, parts: str) -> subprocess.CompletedProcess:
     environment = {
-        "PATH": "/usr/bin:/bin", "PYTHON": sys.executable, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1",
-        "PRESETS": "smoke", "DEVICE": "cpu", "REPEATS": "1", "PARTS": parts,
-    }  # fmt: skip
+        "PATH": "/usr/bin:/bin",
+        "PYTHON": sys.executable,
+        "PYTHONPATH": str(ROOT / "src"),
+        "OMP_NUM_THREADS": "1",
+        "PRESETS": "smoke",
+        "DEVICE": "cpu",
+        "REPEATS": "1",
+        "PARTS": parts,
+    }
     command = ["bash", "tests/bench/gpu_campaign.sh", str(folder)]
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=400)
 

@@ -160,11 +160,13 @@ def test_a_png_states_its_depth():
 @pytest.mark.parametrize(
     "content",
     [
-        b"P5\n# by hand\n3 1\n4095\n\x00\x00\x07\xff\x0f\xff", b"P2\n3 1\n4095\n0 2047 4095\n",
-        b"P5 3 1 15\n\x00\x07\x0f", b"P2 3 1 15\n0 7 15\n",
+        b"P5\n# by hand\n3 1\n4095\n\x00\x00\x07\xff\x0f\xff",
+        b"P2\n3 1\n4095\n0 2047 4095\n",
+        b"P5 3 1 15\n\x00\x07\x0f",
+        b"P2 3 1 15\n0 7 15\n",
         tiff(bytes.fromhex("0007fffff0"), 3, 1, 12, 1, False),
     ],
-)  # fmt: skip
+)
 def test_other_files_that_state_their_depth(content):
     found = rgb_of(content, "a", Depth(16, "image_bits"))[0, :, 1].astype(int)
     assert found[0] == 0
@@ -242,7 +244,7 @@ SEEN[5:20, 10:50] = True
         ("alpha.tif", saved(SEEN[..., None] * np.array([255] * 4, np.uint8), "TIFF")),
         ("photo.jpg", encoded(".jpg", SEEN.astype(np.uint8) * 255)),
     ],
-)  # fmt: skip
+)
 def test_a_mask_is_what_is_not_0(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)
@@ -272,9 +274,11 @@ def test_masks_as_arrays(tmp_path):
         np.save(path, values)
         assert np.array_equal(read_mask(path, (64, 48)), SEEN)
     wrong = {
-        "matrix": [SEEN[..., None], SEEN.astype("U1"), SEEN * 1j], "nan": [np.where(SEEN, np.nan, 1)],
-        "damaged": [np.array([[None]])], "is 3x2 px but the image is 64x48 px": [np.ones((2, 3))],
-    }  # fmt: skip
+        "matrix": [SEEN[..., None], SEEN.astype("U1"), SEEN * 1j],
+        "nan": [np.where(SEEN, np.nan, 1)],
+        "damaged": [np.array([[None]])],
+        "is 3x2 px but the image is 64x48 px": [np.ones((2, 3))],
+    }
     for message, arrays in wrong.items():
         for values in arrays:
             np.save(path, values)
@@ -286,9 +290,12 @@ def test_masks_as_arrays(tmp_path):
 
 
 OWN = {
-    "omniocc/images.py", "omniocc/data/store/codec.py", "omniocc/data/augment/degrade.py", "omniocc/report/frames.py",
+    "omniocc/images.py",
+    "omniocc/data/store/codec.py",
+    "omniocc/data/augment/degrade.py",
+    "omniocc/report/write.py",
     "omniocc/extras/robustness/evaluation.py",
-}  # fmt: skip
+}
 """Files that may decode images: the reader of users' files; what this program itself has written or holds in memory."""
 
 

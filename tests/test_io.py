@@ -18,8 +18,7 @@ from omniocc.errors import DataError
 from omniocc.io import atomic_file, atomic_write, check_regular, remove_leftovers
 from omniocc.model.depth import DepthMap
 from omniocc.predict.input.poses import write_poses
-from omniocc.predict.output.panorama_files import write_depth
-from omniocc.predict.output.point_cloud import PointCloud, write_ply
+from omniocc.predict.output.range_files import PointCloud, write_depth, write_ply
 
 SRC = Path(__file__).parents[1] / "src"
 WRITERS = re.compile(
@@ -36,13 +35,7 @@ DIRECT = {
     (
         "omniocc/data/store/shard.py",
         "(self.work / shard_name(shard)).open(",
-    ): "a journal says which frames are whole",
-    ("omniocc/data/store/shard.py", "path.open('r+b')"): "what a kill left beyond the journal is cut off",
-    (
-        "omniocc/data/store/shard.py",
-        "(self.work / JOURNAL).open(",
-    ): "its lines are appended, each with a checksum",
-    ("omniocc/data/store/shard.py", "journal.open('r+b')"): "what a kill left of its last line is cut off",
+    ): "the folder gets its name when all files are whole",
     (
         "omniocc/data/store/reader.py",
         "(Path(folder) / name).write_bytes(",
@@ -59,7 +52,7 @@ DIRECT = {
     ("omniocc/runs/script.py", "os.open(os.devnull"): "nothing is kept",
     ("hydra_plugins/process_launcher/job.py", "log.open('wb')"): "the output of a process",
     ("hydra_plugins/process_launcher/slurm.py", "self.log.open('a')"): "the output of a process",
-    ("hydra_plugins/process_launcher/slurm_job.py", "log_of(self.log, task).open("): "the output of a process",
+    ("hydra_plugins/process_launcher/slurm.py", "log_of(self.log, task).open("): "the output of a process",
 }
 """File and beginning of the calls that write past the atomic writer, and why."""
 

@@ -16,14 +16,16 @@ DEEP = "a0: &a0 [x]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}]\n" for k in range(1, 
     ("text", "content"),
     [
         ("a: 1\nb: {a: 2, c: [1, {a: 3}]}", {"a": 1, "b": {"a": 2, "c": [1, {"a": 3}]}}),
-        ("lens: &lens {f: 1, k: 2}\nfront: {<<: *lens, k: 3}\nrear: *lens",
-         {"lens": {"f": 1, "k": 2}, "front": {"f": 1, "k": 3}, "rear": {"f": 1, "k": 2}}),
+        (
+            "lens: &lens {f: 1, k: 2}\nfront: {<<: *lens, k: 3}\nrear: *lens",
+            {"lens": {"f": 1, "k": 2}, "front": {"f": 1, "k": 3}, "rear": {"f": 1, "k": 2}},
+        ),
         ("top: {deep: &b {<<: {x: 1}, x: 2}}\nc: {<<: *b}", {"top": {"deep": {"x": 2}}, "c": {"x": 2}}),
         ("%YAML:1.0\n---\nm: !!opencv-matrix\n   rows: 1\n   data: [ 1. ]", {"m": {"rows": 1, "data": [1.0]}}),
         ("", None),
         ("[" * 100 + "]" * 100, yaml.safe_load("[" * 100 + "]" * 100)),
     ],
-)  # fmt: skip
+)
 def test_plain_yaml_is_read(text, content):
     assert parse_yaml(text) == content
 
@@ -52,7 +54,7 @@ def test_plain_yaml_is_read(text, content):
         ("? [1, 2]\n: 3", "line 1: while constructing a mapping, found unhashable key"),
         ("a: \x01", "control characters are not allowed"),
     ],
-)  # fmt: skip
+)
 def test_other_yaml_gets_one_line(text, message):
     with pytest.raises(ValueError, match=r"^the file is not valid YAML: ") as caught:
         parse_yaml(text)

@@ -26,9 +26,27 @@ from omniocc.runs.wandb import Loggers
 
 ROOT = Path(__file__).parents[1]
 WRONG = [
-    "", " ", "..", ".hidden", "../x", "a/b", "stages/depth", "/tmp/x", r"a\b", " a", "a ", "a\nb", "a|b", "a\0b",
-    "<img src=x>", "a:b", "a?b", 'a"b', "x" * 101, "ä" * 51,
-]  # fmt: skip
+    "",
+    " ",
+    "..",
+    ".hidden",
+    "../x",
+    "a/b",
+    "stages/depth",
+    "/tmp/x",
+    r"a\b",
+    " a",
+    "a ",
+    "a\nb",
+    "a|b",
+    "a\0b",
+    "<img src=x>",
+    "a:b",
+    "a?b",
+    'a"b',
+    "x" * 101,
+    "ä" * 51,
+]
 RIGHT = ["ours", "extended", "v1.2", "lr=0.01, b", "my run (2)", "Straße", "x" * 100, "CAM_FRONT", "a#b", "a$b"]
 
 
@@ -89,7 +107,7 @@ def test_records_of_runs_with_wrong_names_are_left_out_and_named(key, tmp_path, 
 
 
 def test_records_of_robustness_with_wrong_names_are_left_out_and_named(tmp_path, capsys):
-    part = PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, {"rayiou": []})
+    part = PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, without={"rayiou": []})
     save_robustness(tmp_path / "robustness-a", Robustness("../../x", {}, [part]))
     save_robustness(tmp_path / "robustness-b", Robustness("tiny", {}, [part._replace(part="a/b")]))
     save_robustness(tmp_path / "robustness-c", Robustness("tiny", {}, [part]))

@@ -56,7 +56,9 @@ def test_counts_are_reported_in_the_status_file(tmp_path, monkeypatch):
             now[0] += 2.0
             progress.advance(text="train/loss=1.5")
         reported = read_status(path)
-        assert reported == Status("running", "depth train", 50, 100, "steps", 0.5, 100.0, "train/loss=1.5")
+        assert reported == Status(
+            "running", "depth train", 50, 100, "steps", rate_hz=0.5, left_s=100.0, text="train/loss=1.5"
+        )
         assert str(reported) == "depth train: 50/100 steps, 2.00 s each, 1:40 min left  train/loss=1.5"
     assert [file.name for file in tmp_path.iterdir()] == ["status.json"]
 

@@ -10,9 +10,9 @@ import yaml
 
 from omniocc.config import check_root, compose_plain, plain
 from omniocc.io import YAML
-from omniocc.report import rows
-from omniocc.report.rows import assign_rows
+from omniocc.report import sweep
 from omniocc.report.runs import FinishedRun
+from omniocc.report.sweep import assign_rows
 from omniocc.runs.rows import TABLES, known_rows, table_files
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -33,7 +33,7 @@ def test_a_row_passes_the_check_and_has_its_name(row, composed):
 def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row(monkeypatch, composed):
     """A run of a row has the values that the row is composed of, but for those of `MINE`."""
     tree = functools.cache(lambda *overrides: plain(composed(*overrides)))
-    monkeypatch.setattr(rows, "compose_plain", lambda conf, name, overrides: tree(*overrides))
+    monkeypatch.setattr(sweep, "compose_plain", lambda conf, name, overrides: tree(*overrides))
     runs = [finished("mine", with_values(tree("preset=tiny", *words), MINE)) for words in ROWS.values()]
     others = [
         run_of("mine", "+ablation=wo_dilation", *(f"{key}={value}" for key, value in MINE.items())),

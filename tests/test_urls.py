@@ -35,10 +35,21 @@ SECRETS = {
     "HTTP://user:s3cret@host": "HTTP://***@host",
 }
 PLAIN = (
-    "s3://bucket/data", "s3://bucket/a@b:c", "http://127.0.0.1:8000/a@b", "http://host:80", "http://[::1]:80/a@b:c",
-    "memory://bucket/data", "file:///tmp/data", "abfs://container@account.dfs.core.windows.net/data", "s3://bucket/#1",
-    "images/front_?.png", "user:pw@host", "a?b=c", "", "http://host/?",
-)  # fmt: skip
+    "s3://bucket/data",
+    "s3://bucket/a@b:c",
+    "http://127.0.0.1:8000/a@b",
+    "http://host:80",
+    "http://[::1]:80/a@b:c",
+    "memory://bucket/data",
+    "file:///tmp/data",
+    "abfs://container@account.dfs.core.windows.net/data",
+    "s3://bucket/#1",
+    "images/front_?.png",
+    "user:pw@host",
+    "a?b=c",
+    "",
+    "http://host/?",
+)
 
 
 @pytest.mark.parametrize("url", SECRETS)
@@ -75,11 +86,15 @@ def test_the_way_of_the_store_is_named(url, way):
 @pytest.mark.parametrize(
     "opened",
     [
-        Files, SceneReader, Recorded, lambda url: list_folders(url, "meta.json"), lambda url: read_json(url, "a", "b"),
+        Files,
+        SceneReader,
+        Recorded,
+        lambda url: list_folders(url, "meta.json"),
+        lambda url: read_json(url, "a", "b"),
         partial(Recorded, splits=None, cache="cache"),
     ],
     ids=["Files", "SceneReader", "Recorded", "list_folders", "read_json", "cached"],
-)  # fmt: skip
+)
 def test_nothing_opens_a_url_with_secrets(opened):
     for url in ("s3://key:s3cret@bucket/data", "https://host/a?token=s3cret", "zip://a.zip::http://user:s3cret@host/x"):
         with pytest.raises(UserError, match=r"\*\*\*") as error:
@@ -90,10 +105,15 @@ def test_nothing_opens_a_url_with_secrets(opened):
 @pytest.mark.parametrize(
     "url",
     [
-        "zip://x::http://127.0.0.1:1/secret.zip", "simplecache::s3://bucket/data", "file:///tmp::memory://x",
-        "ftp://host/x", "github://a:b@/x", "HTTP://host/x", "://x",
+        "zip://x::http://127.0.0.1:1/secret.zip",
+        "simplecache::s3://bucket/data",
+        "file:///tmp::memory://x",
+        "ftp://host/x",
+        "github://a:b@/x",
+        "HTTP://host/x",
+        "://x",
     ],
-)  # fmt: skip
+)
 def test_chains_and_other_protocols_are_refused(url):
     with pytest.raises(UserError, match=r"not read|\*\*\*"):
         Files(url)
@@ -106,8 +126,11 @@ def test_texts_of_a_tree_are_refused_with_their_key(monkeypatch):
     assert "data.source.root=http://***@host/data: " in str(error.value)
     assert "s3cret" not in str(error.value)
     for tree in (
-        ["logger.tags=[http://a:s3cret@b]"], {"a": [{"b": "s3://k:s3cret@b"}]}, {"s3://k:s3cret@b": 1}, ("http://a?s3cret",)
-    ):  # fmt: skip
+        ["logger.tags=[http://a:s3cret@b]"],
+        {"a": [{"b": "s3://k:s3cret@b"}]},
+        {"s3://k:s3cret@b": 1},
+        ("http://a?s3cret",),
+    ):
         with pytest.raises(ConfigError, match=r"\*\*\*") as error:
             refuse_credentials(tree)
         assert "s3cret" not in str(error.value)

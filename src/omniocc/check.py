@@ -6,7 +6,7 @@ from omniocc.data import OccupancyData
 from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.source import SPLITS
 from omniocc.draw import save_png
-from omniocc.draw.data_sheet import data_sheet
+from omniocc.draw.voxel_sheet import data_sheet
 from omniocc.errors import DataError
 
 

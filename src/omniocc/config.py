@@ -17,7 +17,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
-from omniocc.code import code_of_classes, spec_of
+from omniocc.code import spec_of
 from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
 from omniocc.urls import credentials_problem
@@ -126,23 +126,9 @@ ROOT: dict[str, Any] = {
     "plan": bool,
 }
 """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
-GROUPS = (
-    "preset",
-    "stages",
-    "depth",
-    "model",
-    "data",
-    "loss",
-    "optimizer",
-    "augment",
-    "appearance",
-    "callbacks",
-    "trainer",
-    "logger",
-    "paths",
-)
-
-
+GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "appearance")
+GROUPS += ("callbacks", "trainer", "logger", "paths")
+"""The groups at the root of `train.yaml`."""
 NAMES = ("name", "preset.name", "logger.group")
 """Keys whose values files, folders and groups of runs are called by."""
 NOT_OF_TRAINER = {
@@ -207,27 +193,6 @@ def target_of(node: Mapping[Any, Any]) -> type:
         return get_object(name)
     except Exception as error:  # a user's module may raise anything
         raise ConfigError([f"{name} cannot be imported: {error}"]) from error
-
-
-def foreign_packages(tree: Any, packages: Sequence[str]) -> list[str]:
-    """Return, sorted, the packages of the classes in a plain tree that are not among `packages`."""
-    return sorted({name.split(".")[0] for name in classes_in(tree)} - set(packages))
-
-
-def own_code(tree: Any) -> list[str]:
-    """Return a hash of the code of the classes in a plain tree that are of other packages; an empty list without any.
-
-    See `omniocc.code.code_of_classes`. A list, to be added to what is hashed.
-    """
-    code = code_of_classes(name for name in classes_in(tree) if name.split(".")[0] not in PACKAGES)
-    return [code] if code else []
-
-
-def classes_in(tree: Any) -> set[str]:
-    """Return the names of the classes (`_target_`) in a plain tree."""
-    children = tree.values() if isinstance(tree, Mapping) else tree if isinstance(tree, list) else ()
-    found = {name for child in children for name in classes_in(child)}
-    return found | ({str(tree["_target_"])} if isinstance(tree, Mapping) and "_target_" in tree else set())
 
 
 def build(cfg: DictConfig, **extra: Any) -> Any:

@@ -125,8 +125,8 @@ def draw_lens(rng: Draw, lens: str, width: int, height: int, field_deg: float, f
             return shape(focal_px, center, width, height)
 
 
-def perturb_rig(rng: Draw, rig: Rig, angle_deg: float, distance_m: float) -> Rig:
-    """Return the rig with poses that are wrong by about this much, as calibrations are."""
+def perturb_rig(rng: Draw, rig: Rig, angle_deg: float = 0.1, distance_m: float = 0.003) -> Rig:
+    """Return the rig with poses that are wrong as calibrations are, by these standard deviations about each axis."""
     poses = rig.ego_from_camera.clone()
     for pose in poses:
         pose[:3, :3] = pose[:3, :3] @ _small_rotation(np.radians(rng.normal(0, angle_deg, 3)))
@@ -161,17 +161,17 @@ def _kannala_brandt(rng: Draw, half_deg: float) -> Shape:
 
 def _double_sphere(rng: Draw, half_deg: float) -> Shape:
     xi, alpha = rng.uniform((-0.3, 0.52), (0.1, 0.66)).tolist()
-    return lambda focal, center, w, h: DoubleSphere(w, h, (focal, focal), center, xi, alpha, half_deg)
+    return lambda focal, center, w, h: DoubleSphere(w, h, (focal, focal), center, xi, alpha, max_angle_deg=half_deg)
 
 
 def _eucm(rng: Draw, half_deg: float) -> Shape:
     alpha, beta = rng.uniform((0.55, 0.9), (0.75, 1.6)).tolist()
-    return lambda focal, center, w, h: EUCM(w, h, (focal, focal), center, alpha, beta, half_deg)
+    return lambda focal, center, w, h: EUCM(w, h, (focal, focal), center, alpha, beta, max_angle_deg=half_deg)
 
 
 def _mei(rng: Draw, half_deg: float) -> Shape:
     xi, bends = float(rng.uniform(1.0, 2.4)), (*rng.normal(0, (0.02, 0.01, 0.0005, 0.0005)).tolist(),)
-    return lambda focal, center, w, h: MEI(w, h, (focal, focal), center, xi, bends, half_deg)
+    return lambda focal, center, w, h: MEI(w, h, (focal, focal), center, xi, bends, max_angle_deg=half_deg)
 
 
 def _radial_polynomial(rng: Draw, half_deg: float) -> Shape:
@@ -190,7 +190,7 @@ def _ocam(rng: Draw, half_deg: float) -> Shape:
         powers = np.stack([rho**0, rho**2, rho**3, rho**4], 1) / focal ** np.array([0, 2, 3, 4])
         factors = np.linalg.lstsq(powers, -rho / np.tan(theta) / focal, rcond=None)[0]
         a0, a2, a3, a4 = (factors * focal / focal ** np.array([0, 2, 3, 4])).tolist()
-        return OCam(w, h, center, (a0, 0.0, a2, a3, a4), (), (1.0, 0.0, 0.0), half_deg)
+        return OCam(w, h, center, (a0, 0.0, a2, a3, a4), (), (1.0, 0.0, 0.0), max_angle_deg=half_deg)
 
     return shape
 

@@ -9,12 +9,11 @@ FOLDER = Path(__file__).parent
 BESIDE = (
     "fingerprint.py",
     "source.py",
-    "budget.py",
     "drawn.py",
     "class_fractions.py",
     "command.py",
     "mask.py",
-    "report",
+    "page.py",
 )
 """Code beside the world's, which decides no content of a frame."""
 EQUAL = {"8a90f0fb9118a129": "4f35f93cc9fc00f7", "9863adaf676344ec": "9db84f4b5b033d9b"}

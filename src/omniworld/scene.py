@@ -14,10 +14,9 @@ from omniworld.mesh.mesh import transform
 from omniworld.mesh.repaint import repaint as repainted
 from omniworld.render.caster import Caster, Layers
 from omniworld.render.cull import spheres_of
-from omniworld.render.lamp import lamp_pools
+from omniworld.render.light import lamp_pools
 from omniworld.render.own_car import car_under, road_of
-from omniworld.render.shadow import Shadows
-from omniworld.render.snapshot import Snapshot
+from omniworld.render.snapshot import Shadows, Snapshot
 from omniworld.render.surface import SurfaceStack, make_surfaces
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 from omniworld.sensors.geometry_labels import GeometryLabels
@@ -90,7 +89,7 @@ class Scene:
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
             labeller = SemanticLidars(self._static, static_surfaces, town.terrain.height, lidars)
-        self.recorder = Recorder(rig, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
+        self.recorder = Recorder(rig, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg=erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Record the frame at `index * frame_interval_s` seconds; raise ValueError if the index is negative."""
@@ -116,9 +115,9 @@ class Scene:
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),
-            moving_mesh,
-            spheres,
-            self._light,
+            moving=moving_mesh,
+            spheres=spheres,
+            light=self._light,
         )
         return snapshot, actors
 

@@ -31,21 +31,10 @@ from omniworld.town.place import ABSTRACT, THEMES
 from omniworld.variations import late, night
 
 SEEDS_PER_SPLIT = 1_000_000
-SETTINGS = (
-    "frame_interval_s",
-    "supersample",
-    "erp_size",
-    "erp_top_deg",
-    "erp_bottom_deg",
-    "weather",
-    "label_mode",
-    "lidars",
-    "capture",
-)
+PANORAMA = ("erp_size", "erp_top_deg", "erp_bottom_deg")
+SETTINGS = ("frame_interval_s", "supersample", *PANORAMA, "weather", "label_mode", "lidars", "capture")
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
-CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
-"""Standard deviation of the errors in the recorded poses of drawn rigs, about each axis."""
 
 
 class ScenePlan(NamedTuple):
@@ -134,8 +123,7 @@ class VirtualWorld:
     ):
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
-        self.root = root
-        self.cache = cache
+        self.root, self.cache = root, cache
         self.rig = None if rig == RANDOM else _resized(rig, image_size)
         self.pixels = image_size[0] * image_size[1]
         self.themes = tuple(themes)
@@ -144,8 +132,7 @@ class VirtualWorld:
         self.frame_interval_s = float(frame_interval_s)
         self.supersample = _at_least("supersample", supersample, 1)
         self.erp_size = tuple(erp_size)
-        self.erp_top_deg = float(erp_top_deg)
-        self.erp_bottom_deg = float(erp_bottom_deg)
+        self.erp_top_deg, self.erp_bottom_deg = float(erp_top_deg), float(erp_bottom_deg)
         self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, night.NIGHT, IN_TURN))
         self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
         self.lidars = _at_least("lidars", lidars, 1)
@@ -243,7 +230,7 @@ class VirtualWorld:
         masked = mask_ego_car(self.rig_of(plan))
         if self.rig is not None:
             return masked
-        return perturb_rig(seeding.generator(plan.theme, plan.seed, "calibration"), masked, **CALIBRATION_ERROR)
+        return perturb_rig(seeding.generator(plan.theme, plan.seed, "calibration"), masked)
 
     def weather_of(self, plan: ScenePlan) -> str:
         """Return the weather of one scene."""
@@ -300,21 +287,16 @@ class VirtualWorld:
             DataError: when the disk refuses, or scenes are missing in an object store.
             RuntimeError: naming scene and frame, when rendering fails.
         """
-        missing = self.missing(plans)
-        if not missing:
+        if not (missing := self.missing(plans)):
             return
         if isinstance(self.place, str):
             raise DataError(
                 f"{self.place}: {len(missing)} scenes are missing, the first is {missing[0].name}. "
                 "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
             )
-
-        def finished() -> int:
-            return sum(map(self._exists, missing)) * self.frames_per_scene
-
-        folders = [self.place / plan.name for plan in missing]
-        title, total = f"rendering {self.place}", len(missing) * self.frames_per_scene
-        with Progress(title, total, finished=finished) as progress:
+        each, title = self.frames_per_scene, f"rendering {self.place}"
+        with Progress(title, len(missing) * each, finished=lambda: sum(map(self._exists, missing)) * each) as progress:
+            folders = [self.place / plan.name for plan in missing]
             make_scenes(partial(record_scene, self), folders, self.workers, progress)
 
     def labels(self, geometry: Grid, ignore: Ignore) -> VoxelCache:
@@ -353,8 +335,7 @@ class VirtualWorld:
     def _plan(self, split: Split, number: int) -> ScenePlan:
         # with 24 + 4 + 4 scenes of eight themes, as in the paper, each theme has four
         themes = self.themes_of(split)
-        first = len(themes) // 2 if split == "test" else 0
-        theme = themes[(first + number) % len(themes)]
+        theme = themes[(number + (len(themes) // 2 if split == "test" else 0)) % len(themes)]
         # no street is in two splits, for any numbers of scenes
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"

@@ -327,4 +327,14 @@ class RayCounter:
         if times is not None:
             times = times.to(labels.device).repeat_interleave(len(labels) // max(1, len(times)))
         num_classes, edges_m = self.classes.num_classes, self.range_edges_m
-        return count_rays(true_labels, true_m, labels, error_m, valid, num_classes, self.counted_m, edges_m, times)
+        return count_rays(
+            true_labels,
+            true_m,
+            labels,
+            error_m,
+            valid,
+            num_classes,
+            thresholds_m=self.counted_m,
+            range_edges_m=edges_m,
+            times=times,
+        )

@@ -108,10 +108,10 @@ class RayIoU(CountMetric):
             range_edges_m,
             directions,
             target_grid,
-            hit,
-            count_free_rays,
-            split_origins,
-            fine_thresholds_m,
+            hit=hit,
+            count_free_rays=count_free_rays,
+            split_origins=split_origins,
+            fine_thresholds_m=fine_thresholds_m,
         )
         self.add_setting(self.counter.setting())
         for name, counts in self.counter.zero()._asdict().items():
@@ -307,9 +307,9 @@ def ray_iou(
         range_edges_m,
         directions,
         target_grid,
-        hit,
-        count_free_rays,
-        split_origins,
-        fine_thresholds_m,
+        hit=hit,
+        count_free_rays=count_free_rays,
+        split_origins=split_origins,
+        fine_thresholds_m=fine_thresholds_m,
     )
     return counter.scores(counter.count(*tensors_of("cpu", preds, target, origins, observed, origin_times)))

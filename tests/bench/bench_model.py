@@ -26,7 +26,7 @@ from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model.sketch import Random, Sketched
 from omniocc.runs.cost import count_gflop
-from omniocc.runs.memory import keep_freed_memory
+from omniocc.runs.machine import keep_freed_memory
 
 CONF = Path(__file__).parents[2] / "conf"
 STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")

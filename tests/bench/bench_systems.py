@@ -21,7 +21,7 @@ from omniocc.config import build
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.sketch import Dense, Random
 from omniocc.runs.cost import count_gflop
-from omniocc.runs.memory import keep_freed_memory
+from omniocc.runs.machine import keep_freed_memory
 
 SYSTEMS = {
     "ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet", "FlashOcc": "flashocc",

@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT / "src"))
 
 from omniocc.geometry import Cuboid, Cylinder  # noqa: E402
 from rayiou.raycast.fans import RayFans  # noqa: E402
-from rayiou.raycast.tensor_table import TensorTable  # noqa: E402
+from rayiou.raycast.table import TensorTable  # noqa: E402
 
 RAYS_PER_GRID = 1000
 

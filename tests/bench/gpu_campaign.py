@@ -36,7 +36,7 @@ from omniocc.model.ops.padding import pad3d
 from omniocc.model.ops.visible import every_cell
 from omniocc.model.sketch import Dense
 from omniocc.runs.folder import git_commit
-from omniocc.runs.memory import keep_freed_memory
+from omniocc.runs.machine import keep_freed_memory
 
 ROOT = Path(__file__).parents[2]
 PUBLIC_RAYIOU = 29.0

@@ -42,7 +42,7 @@ def take(step: str, data: OccupancyData) -> None:
     if step == STEPS[0]:
         return
     data.prepare_data()
-    data.read_only(Needs(pixel_labels=False, scores=False), Needs())
+    data.set_needs(Needs(pixel_labels=False, scores=False), Needs())
     data.setup()
     data.voxel_counts()
     if step == STEPS[3]:

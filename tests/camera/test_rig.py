@@ -9,7 +9,7 @@ import torch
 
 from omniocc.camera import Equidistant, Panoramic, Pinhole, Rig
 from omniocc.camera.pose import pose_from_angles
-from omniocc.camera.rig_file import MODELS
+from omniocc.camera.rig import MODELS
 
 
 def two_cameras(mask=None):

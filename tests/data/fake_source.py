@@ -9,7 +9,7 @@ import torch
 from omniocc.camera import Pinhole, Rig
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.labels.counts import all_frames, count_classes
-from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, LidarScan, SourceSpec
+from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, Ignore, LidarScan, SourceSpec
 from omniocc.geometry import Cuboid, Grid
 from rayiou.directions import RayOrigins
 
@@ -117,7 +117,7 @@ class FakeSource:
         first = 10 * SPLITS.index(split)
         return [FakeFrames(f"{split}{k}", first + k, self.with_lidar) for k in range(count)]
 
-    def labels(self, geometry: Grid, unknown: str) -> FakeLabels:
+    def labels(self, geometry: Grid, ignore: Ignore) -> FakeLabels:
         if geometry != GRID:
             raise ValueError(f"labels exist in {GRID} only, not in {geometry}")
         return FakeLabels()

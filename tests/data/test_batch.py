@@ -4,7 +4,7 @@ import pytest
 import torch
 from fake_source import GRID, FakeSource
 
-from omniocc.data.augment.flip_and_turn import Change, change_scenes, mirror_columns
+from omniocc.data.augment.augment import Change, change_scenes, mirror_columns
 from omniocc.data.augment.image import erase, jitter
 from omniocc.data.dataset import WindowDataset, collate, pad_stack
 

@@ -16,7 +16,7 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.draw.ranges import SKY
 from omniocc.geometry import Cylinder
 from omniworld.class_fractions import PUBLISHED_PERCENT
-from omniworld.report.page import UNMEASURED, range_image, save_page
+from omniworld.page import UNMEASURED, range_image, save_page
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 

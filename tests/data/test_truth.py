@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.data.labels.observed import observed
-from omniocc.data.labels.voxels import vote
+from omniocc.data.labels.voxels import observed, vote
 from omniocc.data.store import codec
 from omniocc.data.store.check import check_scene
 from omniocc.geometry import Cylinder

@@ -16,9 +16,8 @@ from made_scenes import SCENES
 from mutate import BROKEN, DAMAGED, linked_copy
 from sandbox import Box, Case, Opening, some
 
-from omniocc.data.store.codec import FACTS, LIDAR, PANORAMA, POINTS
+from omniocc.data.store.codec import FACTS, LIDAR, PANORAMA, POINTS, pack
 from omniocc.data.store.folder import SceneFolder
-from omniocc.data.store.raster import pack
 from omniocc.data.store.shard import INDEX, META, SceneWriter, digest
 
 KIND = "scenes and shards"

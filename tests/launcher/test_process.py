@@ -97,7 +97,9 @@ def test_time_left_is_at_least_that_of_a_running_job(tmp_path):
             running.start({})
             running.started_s -= 540.0  # one minute less than the finished job took
         assert left_s(jobs, 2) == pytest.approx((60 + 60 + 600) / 2, abs=2)
-        reported = Status("running", "occupancy, stage 3 of 3 train", 107, 1000, "steps", 0.571, 26 * 60 + 3.0)
+        reported = Status(
+            "running", "occupancy, stage 3 of 3 train", 107, 1000, "steps", rate_hz=0.571, left_s=26 * 60 + 3.0
+        )
         jobs[1].status_file.write_text(json.dumps(asdict(reported)))
         assert left_s(jobs, 2) == pytest.approx(26 * 60 + 3)
         assert "a: occupancy, stage 3 of 3 train: 107/1000 steps, 1.75 s each, 26:03 min left" in progress(jobs, 2, 9.0)
@@ -113,7 +115,9 @@ def test_the_time_left_is_estimated_before_the_first_job_is_done(tmp_path):
             running.started_s -= age_s
         assert left_s(jobs, 2) is None
         assert "left" not in progress(jobs, 2, 300.0)
-        jobs[0].status_file.write_text(json.dumps(asdict(Status("running", "depth", 1, 2, "steps", 1.0, 500.0))))
+        jobs[0].status_file.write_text(
+            json.dumps(asdict(Status("running", "depth", 1, 2, "steps", rate_hz=1.0, left_s=500.0)))
+        )
         # the job takes 800 s: 500 are left of it, 700 of the second, 1600 of the two others
         assert left_s(jobs, 2) == pytest.approx((500 + 700 + 1600) / 2, abs=3)
         assert "about 23:" in progress(jobs, 2, 300.0)

@@ -1,6 +1,8 @@
 """A street of boxes between walls, small enough for exact expectations."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +13,11 @@ from omniworld.mesh.mesh import Mesh, concatenate
 from omniworld.render.caster import Caster, Layers
 from omniworld.render.cull import spheres_of
 from omniworld.render.light import Light, Sensor
-from omniworld.render.shadow import Shadows
-from omniworld.render.snapshot import Snapshot
+from omniworld.render.snapshot import Shadows, Snapshot
 from omniworld.render.surface import join, make_surfaces
 from omniworld.render.weather import draw_light, draw_sensor
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data"))  # fake_scene
 
 
 def make_quad(
@@ -31,7 +34,7 @@ def make_quad(
         np.full(2, label, np.uint8),
         np.full(2, material, np.uint8),
         np.tile(np.array(color, np.uint8), (2, 1)),
-        np.full(2, instance, np.int32),
+        instance=np.full(2, instance, np.int32),
     )
 
 
@@ -88,8 +91,8 @@ def noon() -> Light:
         light.horizon,
         light.bounce,
         0.0,
-        0.3,
-        light.cloud_shift,
+        cloud_cover=0.3,
+        cloud_shift=light.cloud_shift,
         haze_m=1e6,
     )
 
@@ -119,9 +122,9 @@ def make_snapshot(static: Mesh, moving: Mesh, ego_mesh: Mesh, light: Light, x_m:
         start,
         np.eye(3, dtype=np.float32),
         origin,
-        moving,
-        spheres_of(moving),
-        light,
+        moving=moving,
+        spheres=spheres_of(moving),
+        light=light,
     )
 
 

@@ -9,8 +9,8 @@ GRID = Cylinder((8, 12, 4), (0.0, 12.0), (-2.8, 3.2))
 LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
 FORWARD = torch.tensor([[1.0, 0.0, 0.0]])
 METRICS = {
-    "rays": (RayIoU, {"geometry": GRID}), "voxels": (VoxelIoU, {}), "depth": (DepthMetrics, {}),
-    "calibration": (CalibrationError, {}), "candidates": (CandidateScores, {"geometry": GRID}),
+    "rays": (RayIoU, {"grid": GRID}), "voxels": (VoxelIoU, {}), "depth": (DepthMetrics, {}),
+    "calibration": (CalibrationError, {}), "candidates": (CandidateScores, {"grid": GRID}),
 }  # fmt: skip
 
 

@@ -154,36 +154,6 @@ def test_results_of_several_steps_are_lines(name):
     matplotlib.pyplot.close(figure)
 
 
-OLD_NAMES = {
-    "rays": ("prediction", "target"), "voxels": ("prediction", "target"), "depth": ("prediction_m", "target_m"),
-    "calibration": ("confidence", "right"), "candidates": ("candidates", "voxels"),
-}  # fmt: skip
-
-
-def test_old_names_work_with_a_warning(name):
-    metric, expected = made(name), made(name)
-    expected.update(*batch(name))
-    with pytest.warns(FutureWarning, match=f"'{OLD_NAMES[name][0]}' is called 'preds' now.*version 0.2"):
-        metric.update(**dict(zip(OLD_NAMES[name], batch(name), strict=True)))
-    same(metric.compute(), expected.compute())
-    collection = MetricCollection([made(name)])
-    with pytest.warns(FutureWarning, match="is called"):
-        collection.update(**dict(zip(OLD_NAMES[name], batch(name), strict=True)))
-    same(collection.compute(), expected.compute())
-    with pytest.raises(TypeError, match="'preds' and its old name"):
-        metric.update(preds=batch(name)[0], **{OLD_NAMES[name][0]: batch(name)[0]})
-
-
-def test_old_names_of_the_functions():
-    preds, target = batch("rays")
-    with pytest.warns(FutureWarning, match=r"ray_iou\(\): the argument 'prediction' is called 'preds' now"):
-        found = ray_iou(prediction=preds, target=target, grid=GRID)
-    same(found, ray_iou(preds, target, GRID))
-    metric = RayIoU(LINE, directions=FORWARD)
-    with pytest.warns(FutureWarning, match=r"update_rays\(\): the argument 'prediction'"):
-        metric.update_rays(prediction=torch.zeros(1, *LINE.shape), range_m=torch.ones(1, 1), labels=torch.ones(1, 1))
-
-
 HEAVY = (
     "lightning", "pytorch_lightning", "hydra", "omegaconf", "wandb", "transformers", "embreex", "cv2", "scipy", "PIL",
     "jinja2", "rich", "safetensors", "fsspec", "zstandard", "yaml", "matplotlib",

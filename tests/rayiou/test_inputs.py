@@ -86,5 +86,5 @@ def test_confidences_outside_of_their_range_are_named():
         CalibrationError().update(torch.tensor([0.5, 1.5]), torch.tensor([True, True]))
     with pytest.raises(ValueError, match=r"preds must be ranges above 0, got -2\.0"):
         DepthMetrics().update(torch.tensor([-2.0]), torch.tensor([3.0]))
-    with pytest.raises(ValueError, match="geometry must be a grid"):
+    with pytest.raises(ValueError, match="grid must be a grid"):
         VoxelIoU(grid=(8, 12, 4))

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 import rayiou
 from omniocc.geometry import Cuboid, Cylinder, RayScan, RayTable
 from omniocc.metric import sparseocc_directions
-from rayiou.raycast.kernel_table import run_in_threads
+from rayiou.raycast.table import run_in_threads
 
 GRID = Cylinder((16, 20, 6), (0.0, 12.0), (-2.8, 3.2))
 COMPILE = (

@@ -206,7 +206,7 @@ def test_ray_hits_are_those_of_trace():
 
 @pytest.mark.parametrize("metric", [RayIoU, CandidateScores])
 def test_a_shape_is_no_grid(metric):
-    with pytest.raises(ValueError, match=r"geometry must be a grid, .*Cuboid\(shape, x_m.*got tuple"):
+    with pytest.raises(ValueError, match=r"grid must be a grid, .*Cuboid\(shape, x_m.*got tuple"):
         metric((200, 200, 16))
     with pytest.raises(ValueError, match="target_grid must be a grid"):
         RayIoU(SMALL, target_grid=(200, 200, 16))

@@ -70,7 +70,7 @@ def test_counting_agrees_with_the_public_definition(grid):
     for c in range(11):
         assert scores[f"rayiou/{c + 1}"].item() == pytest.approx(np.nanmean(iou[:, c]), abs=1e-6)
     for low_m, high_m in itertools.pairwise(edges_m):
-        part = public_counting(grid, prediction, target, origins, directions, (0.5, 1, 3), low_m, high_m)
+        part = public_counting(grid, prediction, target, origins, directions, (0.5, 1, 3), low_m=low_m, high_m=high_m)
         assert scores[f"rayiou_{low_m:g}-{high_m:g}m"].item() == pytest.approx(np.nanmean(part), abs=1e-6)
     assert len(scores) == 1 + 3 + 11 + 2
 

@@ -52,15 +52,32 @@ def figures(rayiou: float, surface_rayiou: float | None = None) -> dict[str, flo
 
 
 def write_run(
-    folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: dict, geometry: dict, steps: int = 40,
+    folder: Path,
+    seed: int,
+    rayiou: float,
+    world: FakeWorld,
+    sketch: dict,
+    geometry: dict,
+    steps: int = 40,
     surface_rayiou: float | None = None,
-) -> None:  # fmt: skip
+) -> None:
     (folder / "csv" / "version_0").mkdir(parents=True)
     described = {
-        "_target_": "omniworld.VirtualWorld", "root": world.root, "rig": "fisheye6", "image_size": [WIDTH, HEIGHT],
-        "themes": ["downtown", "suburb"], "train_scenes": 2, "val_scenes": 1, "test_scenes": 1, "frames_per_scene": 4,
-        "frame_interval_s": 0.5, "supersample": 1, "erp_size": [16, 8], "erp_top_deg": 45.0, "erp_bottom_deg": -45.0,
-    }  # fmt: skip
+        "_target_": "omniworld.VirtualWorld",
+        "root": world.root,
+        "rig": "fisheye6",
+        "image_size": [WIDTH, HEIGHT],
+        "themes": ["downtown", "suburb"],
+        "train_scenes": 2,
+        "val_scenes": 1,
+        "test_scenes": 1,
+        "frames_per_scene": 4,
+        "frame_interval_s": 0.5,
+        "supersample": 1,
+        "erp_size": [16, 8],
+        "erp_top_deg": 45.0,
+        "erp_bottom_deg": -45.0,
+    }
     config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "source": described}, "lr": 0.1}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]

@@ -7,9 +7,9 @@ import pytest
 from fake_sweep import SHEET, parts, save_parts
 
 from omniocc.geometry import Cylinder
-from omniocc.report.frames import compared_frames
 from omniocc.report.runs import read_runs
 from omniocc.report.selection import by_row
+from omniocc.report.write import compared_frames
 
 
 def test_every_row_shows_the_same_frame_and_every_grid_its_truth_once(runs):

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from omniocc.report.html import render
-from omniocc.report.plots.svg import as_svg
+from omniocc.report.plots import as_svg
 
 EVIL = """</script></style><img src=x onerror="alert(1)">'&"""
 

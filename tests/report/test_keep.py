@@ -80,7 +80,7 @@ def test_a_run_that_was_trained_again_loses_the_later_tests_of_its_former_weight
 
 def test_a_test_of_weights_without_a_run_is_kept(tmp_path):
     test = Robustness(
-        "tiny", {}, [PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, {"rayiou": []})]
+        "tiny", {}, [PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, without={"rayiou": []})]
     )
     save_robustness(tmp_path / "runs" / "robustness-tiny", test)
     assert keep_records(tmp_path / "runs", tmp_path / "kept") == [tmp_path / "kept" / "robustness-tiny"]

@@ -96,9 +96,11 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
     assert "± is the standard error over seeds" in text
     assert "Table VII: " in text
     expected = [(runs / "ours-00000002" / name).resolve() for name in ("", "config.yaml", "metrics.json")]
-    assert [str(path).split("/runs/")[1] for path in expected if not any(
-        unquote(link).rstrip("/").endswith(str(path).split("/runs/")[1]) for link in outline.links
-    )] == []  # fmt: skip
+    assert [
+        str(path).split("/runs/")[1]
+        for path in expected
+        if not any(unquote(link).rstrip("/").endswith(str(path).split("/runs/")[1]) for link in outline.links)
+    ] == []
 
 
 def test_every_table_says_how_its_scores_were_counted(output, outline):
@@ -130,10 +132,28 @@ def test_frames_lead_to_the_viewer_pages_of_runs_that_have_one(outline, runs):
 def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
-        "bets", "beyond", "classes", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval",
-        "lidar", "moving", "origins", "places", "reasons", "refine", "representation", "rivals", "rivals_budget",
-        "semantic_temporal", "sketch", "weather",
-    }  # fmt: skip
+        "bets",
+        "beyond",
+        "classes",
+        "comparison",
+        "dataset",
+        "distance",
+        "equal_budget",
+        "equal_steps",
+        "interval",
+        "lidar",
+        "moving",
+        "origins",
+        "places",
+        "reasons",
+        "refine",
+        "representation",
+        "rivals",
+        "rivals_budget",
+        "semantic_temporal",
+        "sketch",
+        "weather",
+    }
     markdown = (output / "report.md").read_text("utf-8")
     claim = "| Sketch ahead of all voxels | Table VI | undecided (one seed only) | +0.120 | +0.036 | +0.025 | – |"
     assert claim in markdown
@@ -165,8 +185,10 @@ def test_thirty_lines_are_printed_at_most_and_all_tables_by_a_flag(runs, tmp_pat
     assert len(printed) == 30
     assert "| row0 | – | 2 | 0.250 ± 0.000 | 0.125 ± 0.000 |" in printed
     assert [line for line in printed if line.startswith("...")] == [
-        "... and 4 more remarks", "... and 4 more rows", "... and 4 more settings"
-    ]  # fmt: skip
+        "... and 4 more remarks",
+        "... and 4 more rows",
+        "... and 4 more settings",
+    ]
     report("--runs", str(folder), "--all")
     assert (folder / "report" / "report.md").read_text().split("\n## Runs\n")[0].strip() in capsys.readouterr().out
 
@@ -188,9 +210,14 @@ def test_the_tables_are_written_as_pages_of_the_documentation_and_csv(runs, tmp_
     docs = tmp_path / "docs" / "results"
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
     assert {str(path.relative_to(docs)) for path in docs.rglob("*.md")} == {
-        "appendix/breakdowns.md", "appendix/claims.md", "appendix/costs.md", "beyond.md", "index.md", "paper.md",
+        "appendix/breakdowns.md",
+        "appendix/claims.md",
+        "appendix/costs.md",
+        "beyond.md",
+        "index.md",
+        "paper.md",
         "systems.md",
-    }  # fmt: skip
+    }
     assert {"sketch.csv", "runs.csv", "claims.csv", "power.csv"} <= {path.name for path in (docs / "csv").iterdir()}
     generated, _, title, *lines = (docs / "paper.md").read_text("utf-8").splitlines()
     command = "python src/report.py --runs docs/results/runs.tar.xz --docs docs/results"
@@ -216,7 +243,7 @@ def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
     for system, place in places.items():
         found = {UNDISTURBED: (UNDISTURBED, 0.5), "view_90_deg": ("view", 0.2 if system == "tiny" else 0.3)}
         parts = [
-            PartScores(name, group, ["a", "b"], 2, 1.0, {"rayiou": score}, {"rayiou": [score] * 2})
+            PartScores(name, group, ["a", "b"], 2, 1.0, {"rayiou": score}, without={"rayiou": [score] * 2})
             for name, (group, score) in found.items()
         ]
         save_robustness(place, Robustness(system, {"setting": "one", "seed": 0}, parts))

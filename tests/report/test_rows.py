@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from omniocc.config import ConfigError, compose_plain
-from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
-from omniocc.report.sweep import read_sweeps
+from omniocc.report.sweep import assign_rows, read_sweeps
 from omniocc.report.tables.paper import table_cells
 
 ROOT = Path(__file__).parents[2]

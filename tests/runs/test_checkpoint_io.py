@@ -241,7 +241,11 @@ def trained(folder: Path, steps: int, resume: Path | None = None) -> Line:
     torch.manual_seed(0)
     task = Line()
     trainer = Trainer(
-        max_steps=steps, accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
+        max_steps=steps,
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
         plugins=[AtomicCheckpointIO()],
         callbacks=[
             ModelCheckpoint(folder, "last", every_n_train_steps=1, enable_version_counter=False),
@@ -249,7 +253,7 @@ def trained(folder: Path, steps: int, resume: Path | None = None) -> Line:
                 folder, "best", monitor="val/rayiou", mode="max", every_n_train_steps=1, enable_version_counter=False
             ),
         ],
-    )  # fmt: skip
+    )
     trainer.fit(task, DataLoader(TensorDataset(torch.ones(8, 1))), ckpt_path=resume and str(resume))
     trainer.save_checkpoint(folder / LAST)
     return task

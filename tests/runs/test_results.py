@@ -22,8 +22,10 @@ def test_scores_by_origin_are_those_of_the_later_test(tmp_path):
     assert trajectory_figures(tmp_path, "abc") == {}
     save_results(tmp_path / FROM_TRAJECTORY, METRICS, {"data": "abc", OVERRIDES: []})
     assert trajectory_figures(tmp_path, "abc") == {
-        "test/trajectory/rayiou": 0.2, "test/trajectory/rayiou_past": 0.25, "test/trajectory/rayiou_now": 0.3,
-    }  # fmt: skip
+        "test/trajectory/rayiou": 0.2,
+        "test/trajectory/rayiou_past": 0.25,
+        "test/trajectory/rayiou_now": 0.3,
+    }
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from omniocc.runs.robustness import (
 
 
 def part(name, score, without, group="kind", scenes=("a", "b", "c")):
-    return PartScores(name, group, list(scenes), 6, 1.5, {"rayiou": score}, {"rayiou": list(without)})
+    return PartScores(name, group, list(scenes), 6, 1.5, {"rayiou": score}, without={"rayiou": list(without)})
 
 
 BASE = part(UNDISTURBED, 0.5, [0.45, 0.5, 0.55], UNDISTURBED)

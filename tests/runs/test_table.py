@@ -5,15 +5,21 @@ import pytest
 
 from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
-from omniocc.report.tables.overview import table_of_runs
+from omniocc.report.tables.budget import table_of_runs
 from omniocc.runs.results import load_results, save_results, show_results
 from omniocc.runs.table import as_markdown, by_origin, markdown, per_class, summary
 
 METRICS = {
-    "test/rayiou": 0.25, "prior/rayiou": 0.125, "label/rayiou": 1.0,
-    "test/rayiou_17-25.6m": 0.1, "test/rayiou_0-8.5m": 0.4,
-    "test/rayiou_8.5-17m": 0.2, "test/rayiou/Road": 0.75, "test/rayiou/Pedestrian": math.nan, "label/lidar/rayiou": 0.6,
-}  # fmt: skip
+    "test/rayiou": 0.25,
+    "prior/rayiou": 0.125,
+    "label/rayiou": 1.0,
+    "test/rayiou_17-25.6m": 0.1,
+    "test/rayiou_0-8.5m": 0.4,
+    "test/rayiou_8.5-17m": 0.2,
+    "test/rayiou/Road": 0.75,
+    "test/rayiou/Pedestrian": math.nan,
+    "label/lidar/rayiou": 0.6,
+}
 
 
 def test_a_cell_stays_one_cell_and_one_line():

@@ -94,8 +94,10 @@ def test_parts_of_test_sheets_are_files_of_their_own(tmp_path):
     parts = {path.stem: cv2.imread(str(path)) for path in folder.iterdir()}
     assert sorted(parts) == sorted(SheetParts._fields)
     assert sorted(path.name for path in folder.parent.iterdir()) == [
-        "test-00-scene-0000", "test-01-scene-0003", "test-02-scene-0006"
-    ]  # fmt: skip
+        "test-00-scene-0000",
+        "test-01-scene-0003",
+        "test-02-scene-0006",
+    ]
     for name, part in parts.items():
         found = cv2.matchTemplate(sheet, part, cv2.TM_SQDIFF).min()
         assert found <= 1e-6 * part.size * 255**2, name
@@ -138,11 +140,19 @@ def test_images_of_validations_have_the_steps_of_the_curves(tmp_path):
     frames = [SimpleNamespace(images=torch.ones(1, 1), frame_ids=("a/0",)) for _ in range(12)]
     loader = DataLoader(frames, batch_size=None)
     trainer = Trainer(
-        max_steps=6, val_check_interval=4, check_val_every_n_epoch=None, accumulate_grad_batches=2, accelerator="cpu",
-        limit_val_batches=1, num_sanity_val_steps=0, enable_checkpointing=False, enable_progress_bar=False,
-        enable_model_summary=False, logger=CSVLogger(tmp_path, name="csv", flush_logs_every_n_steps=1),
+        max_steps=6,
+        val_check_interval=4,
+        check_val_every_n_epoch=None,
+        accumulate_grad_batches=2,
+        accelerator="cpu",
+        limit_val_batches=1,
+        num_sanity_val_steps=0,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        logger=CSVLogger(tmp_path, name="csv", flush_logs_every_n_steps=1),
         callbacks=[OnePixel(tmp_path / "images", 1, WORLD_CLASSES)],
-    )  # fmt: skip
+    )
     task = Steps()
     trainer.fit(task, loader, loader)
     trainer.validate(task, loader, verbose=False)

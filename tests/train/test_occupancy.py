@@ -144,14 +144,19 @@ class Remember(Callback):
 def train(folder, task, max_steps, checkpoint=None):
     remember = Remember()
     trainer = Trainer(
-        accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
-        num_sanity_val_steps=0, max_steps=max_steps, gradient_clip_val=35.0,
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        num_sanity_val_steps=0,
+        max_steps=max_steps,
+        gradient_clip_val=35.0,
         callbacks=[
             remember,
             ModelCheckpoint(folder, "last", every_n_train_steps=1, enable_version_counter=False),
             ModelCheckpoint(folder, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
         ],
-    )  # fmt: skip
+    )
     trainer.fit(task, datamodule=Batches(task), ckpt_path=checkpoint)
     return remember
 

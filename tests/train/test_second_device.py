@@ -159,7 +159,7 @@ def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path,
 
     leaves = Leaves("ranges", [scene], [cache], read, predict)
     assert leaves.missing() == [scene]
-    leaves.fill(task, CUDA, 0, "depth")
+    leaves.fill([scene], task, CUDA, 0, "depth")
     assert seen == [(True, None)] * 2
     assert leaves.missing() == []
     assert cache.read(scene, 1).isfinite().any()

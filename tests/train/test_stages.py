@@ -121,8 +121,16 @@ def test_one_more_scene_computes_the_ranges_of_that_scene_alone(smoke, data_root
     frames = []
 
     def found(scenes, *overrides):
-        parts = Parts(smoke(f"paths.data={data_root}", f"paths.runs={tmp_path}", "test_images=0", *overrides,
-                            f"data.source.train_scenes={scenes}", "logger.mode=disabled"))  # fmt: skip
+        parts = Parts(
+            smoke(
+                f"paths.data={data_root}",
+                f"paths.runs={tmp_path}",
+                "test_images=0",
+                *overrides,
+                f"data.source.train_scenes={scenes}",
+                "logger.mode=disabled",
+            )
+        )
         data = parts.data()
         data.prepare_data()
         depth = stages_of(parts, data)[0]

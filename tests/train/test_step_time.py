@@ -4,8 +4,8 @@ from omniocc.config import build
 from omniocc.data.source.cameras import training_frames, training_rig
 from omniocc.errors import UserError
 from omniocc.parts import Parts
+from omniocc.train.command import random_batch, rehearse, step_seconds
 from omniocc.train.stages import stages_of
-from omniocc.train.step_time import random_batch, rehearse, step_seconds
 
 
 @pytest.fixture

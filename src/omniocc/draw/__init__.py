@@ -3,8 +3,7 @@
 from omniocc.draw.bev import bev, error_bev
 from omniocc.draw.canvas import save_png
 from omniocc.draw.compare import SheetParts, comparison_parts, comparison_sheet
-from omniocc.draw.depth import depth_sheet
-from omniocc.draw.predicted import predicted_sheet
+from omniocc.draw.depth import depth_sheet, predicted_sheet
 from omniocc.draw.sketch import sketch_sheet
 from omniocc.draw.voxels import render_voxels
 

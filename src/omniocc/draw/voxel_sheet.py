@@ -1,7 +1,9 @@
 """One sheet per frame of predicted occupancy, beside the ground truth where it is available."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,7 +15,7 @@ from omniocc.draw.canvas import Images, Labels, Ranges, class_legend, legend
 from omniocc.draw.compare import views_and_maps
 from omniocc.draw.paint import paint_voxels, voxel_panorama
 from omniocc.draw.ranges import NOT_PREDICTED, range_bar, range_colors
-from omniocc.draw.sheet import camera_rows, column_width, inner_width, panorama_row, row, stack
+from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, row, stack
 from omniocc.draw.voxels import render_voxels
 from omniocc.geometry import Grid
 
@@ -22,6 +24,7 @@ ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
 
 SIDE_DEG = 105.0
 """Largest azimuth, to either side, of cameras in the first row."""
+DOT_PX = 2
 
 
 class RangePanorama(NamedTuple):
@@ -104,3 +107,46 @@ def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, wi
     views, maps = views_and_maps(truth, prediction, geometry, classes, width)
     above = row(maps, ("truth from above", "prediction from above", "differences"), width)
     return [row(views, tuple(named), width), above]
+
+
+def data_sheet(
+    images: Images,
+    rig: Rig,
+    camera_range_m: Sequence[np.ndarray] | None,
+    panorama_range_m: np.ndarray | None,
+    labels: Labels | None,
+    grid: Grid,
+    classes: ClassTable,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
+    """Return the sheet: known ranges as dots on the images, as a panorama, and the voxels from behind and above.
+
+    What is None is left out. A wrong calibration shows as dots beside the things that they belong to.
+    """
+    inner, order = inner_width(width_px), camera_order(rig)
+    ranges = [None] * len(images) if camera_range_m is None else camera_range_m
+    dotted = [with_dots(image, range_m) for image, range_m in zip(images, ranges, strict=True)]
+    rows = camera_rows([dotted[k] for k in order], inner, columns_of(len(images)), [rig.names[k] for k in order])
+    if panorama_range_m is not None:
+        rows.append(panorama_row(range_colors(panorama_range_m), "known ranges", inner))
+    if camera_range_m is not None or panorama_range_m is not None:
+        rows.append(range_bar(inner))
+    if labels is not None:
+        height = inner // 3
+        views = [render_voxels(labels, grid, classes, inner - height - 8, height), bev(labels, grid, classes, height)]
+        rows += [beside(views, inner), class_legend(classes, inner)]
+    return stack(rows, width_px, caption)
+
+
+def with_dots(image: np.ndarray, range_m: np.ndarray | None, least_width: int = 640) -> np.ndarray:
+    """Return an image, enlarged if it is small, with a dot in the colour of its range on every pixel that has one."""
+    scale = max(1, -(-least_width // image.shape[1]))
+    large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    if range_m is None:
+        return large
+    colors = range_colors(range_m)
+    for y, x in np.argwhere(np.isfinite(range_m)):
+        place = (round((x + 0.5) * scale - 0.5), round((y + 0.5) * scale - 0.5))
+        cv2.circle(large, place, DOT_PX, colors[y, x].tolist(), -1)
+    return large

@@ -1,4 +1,4 @@
-"""Losses: one class per file; `Total` names and weighs them."""
+"""Losses: one class per file; `TotalLoss` names and weighs them."""
 
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice

@@ -31,7 +31,7 @@ class CalibrationError(CountMetric):
         ValueError: if there is no bin.
 
     Example:
-        >>> metric = Calibration()
+        >>> metric = CalibrationError()
         >>> metric.update(torch.tensor([0.9, 0.9, 0.5, 0.5]), torch.tensor([True, True, True, False]))
         >>> round(metric.compute()["ece"].item(), 3)
         0.05

@@ -23,7 +23,7 @@ COUNTS = ("found", "occupied", "known_candidates", "candidates", "cells")
 
 
 def candidate_scores(counts: Float64[Tensor, "bands 5"], edges_m: Sequence[float]) -> dict[str, Tensor]:
-    """Return the scores of counts; see `Candidates` for the keys. A score without cases is nan."""
+    """Return the scores of counts; see `CandidateScores` for the keys. A score without cases is nan."""
     rows = {"": counts.sum(0)}
     rows |= dict(zip(band_suffixes(edges_m), counts, strict=False))  # the last row is no band
     scores = {}
@@ -58,7 +58,7 @@ class CandidateScores(CountMetric):
         >>> voxels[0, 1] = 3
         >>> candidates = torch.zeros(1, 2, 4, 1, dtype=torch.bool)
         >>> candidates[0, :, :3] = True
-        >>> metric = Candidates(grid, (0.0, 4.0))
+        >>> metric = CandidateScores(grid, (0.0, 4.0))
         >>> metric.update(candidates, voxels)
         >>> {key: value.item() for key, value in metric.compute().items() if "_" not in key}
         {'recall': 0.75, 'precision': 0.5, 'fraction': 0.75}

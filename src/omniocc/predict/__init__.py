@@ -1,8 +1,7 @@
 """Predict depth and occupancy from images of a calibrated rig, without recorded data."""
 
 from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, resized_to_width
-from omniocc.predict.output.panorama_files import write_depth
-from omniocc.predict.output.point_cloud import PointCloud, point_cloud, write_ply
+from omniocc.predict.output.range_files import PointCloud, point_cloud, write_depth, write_ply
 from omniocc.predict.predictor import PredictedFrame, Predictor, predict_depth
 from omniocc.predict.trained import PredictedRanges, PredictedVoxels, Trained, load
 from omniocc.predict.training_data import TrainingData

@@ -17,8 +17,7 @@ from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, remarks, resized_to_width
 from omniocc.predict.options import choose_device, load_rig, require
-from omniocc.predict.output.panorama_files import write_depth
-from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.output.range_files import point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
@@ -44,7 +43,7 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
     model, image_width = choose_model(cfg, overrides, rig)
     device = choose_device(cfg.device)
     for frame in frames:
-        print(predict_frame(cfg, frame, rig, model, image_width, device, show), flush=True)
+        print(predict_frame(cfg, frame, rig, model, image_width, device=device, show=show), flush=True)
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
@@ -87,7 +86,9 @@ def predict_frame(
         cloud = point_cloud(range_m, panorama, images, rig)
         missing = [name for name, file in zip(rig.names, frame.files, strict=True) if file is None]
         caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()
-        overview = predicted_sheet(images, rig, panorama, range_m, cloud.colors, caption, cfg.bev_range_m)
+        overview = predicted_sheet(
+            images, rig, panorama, range_m, cloud.colors, caption=caption, half_m=cfg.bev_range_m
+        )
         points = write_depth(folder, depth, panorama, cloud, overview)
     if show is not None:
         show(frame, images, rig, range_m, panorama)

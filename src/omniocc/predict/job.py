@@ -133,7 +133,9 @@ class Job:
             if predictor.panorama is not None and prediction.range_m is not None:
                 ranges = RangePanorama(predictor.panorama, prediction.range_m)
             voxels = None if truth is None else truth.voxels[0]
-            sheet = occupancy_sheet(images, sequence.rig, labels, geometry, classes, ranges, voxels, caption)
+            sheet = occupancy_sheet(
+                images, sequence.rig, labels, geometry, classes, ranges=ranges, truth=voxels, caption=caption
+            )
             save_png(folder / OVERVIEW, sheet)
         poses = sequence.world_from_ego
         pose = None if poses is None else raise_poses(poses[frame], -sequence.origin_z_m)

@@ -1,10 +1,11 @@
 """The generated pages of results in the documentation, and the CSV beside them."""
 
+import importlib.util
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.progress import Progress
 from omniocc.report.chapters import SPREAD, bounds_part, budget_part
@@ -12,12 +13,11 @@ from omniocc.report.datasets import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness, training
-from omniocc.report.tables.budget import minutes_in_all
+from omniocc.report.tables.budget import minutes_in_all, records
 from omniocc.report.tables.claims import Rows, rows_in
 from omniocc.report.tables.formats import Part, csv_text, parts_text
 from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.names import method_names, named
-from omniocc.report.tables.overview import records
 from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, table_cells
 from omniocc.report.tables.power import power_csv
 from omniocc.report.tables.protocol import protocol_lines
@@ -32,6 +32,7 @@ TRIED_AGAINST = "extended"
 """Row to which `tried.csv` compares all others."""
 CURVES_IMAGE = "learning_curves.svg"
 """Image of the learning curves, in the folder of the pages."""
+NO_MATPLOTLIB = f"matplotlib is missing: {installing('plot')}"
 TITLES = {
     "index": "The paper's claims, at small scale",
     PAPER: "The paper's tables, trained here",
@@ -55,6 +56,29 @@ MORE = (
 )
 MEANS = "Means over seeds; the figures 'here' are of the runs of this repository."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
+
+
+def write_documentation(sweeps: Sequence[Sweep], folder: Path, root: Path) -> None:
+    """Write pages, CSV and learning curves of all results; for `docs/results` below `root` the README's results too."""
+    write_docs(sweeps, folder)
+    if folder.resolve() == root / "docs" / "results":
+        write_results_into(root / "README.md", sweeps[0])
+    draw_curves(sweeps[0], folder)
+
+
+def draw_curves(sweep: Sweep, folder: Path) -> None:
+    """Draw the learning curves into a folder of documentation, if rows have run with several numbers of steps."""
+    names = method_names(sweep.tables)
+    rows = {names.get(row, row): runs for row, runs in training.runs_by_row(sweep).items()}
+    if not rows:
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        print(f"{CURVES_IMAGE} is not drawn again: {NO_MATPLOTLIB}")
+        return
+    from omniocc.report.plots import learning_curves, save_svg
+
+    if figure := learning_curves(rows):
+        save_svg(figure, folder / CURVES_IMAGE)
 
 
 def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:

@@ -15,13 +15,13 @@ from omniocc.config import (
     ConfigError,
     allowed,
     check,
-    foreign_packages,
     plain,
 )
 from omniocc.errors import UserError, shortened
 from omniocc.parallel import usable_cores
 from omniocc.runs.checkpoint_io import read_checkpoint
 from omniocc.runs.renamed import renamed
+from omniocc.runs.slots import foreign_packages
 from omniocc.runs.trust import fault_of, not_offered
 from omniocc.runs.weights import SUFFIX, find_checkpoint, read_weights
 

@@ -45,7 +45,7 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
     atomic_write(path, buffer.getbuffer(), previous)
 
 
-def no_checkpoint(path: Path) -> str:
+def no_checkpoint_message(path: Path) -> str:
     """Return the message for a path that is no file."""
     if path.is_dir():
         return f"{path}: the folder has neither {BEST} nor {LAST} (is it a run of train.py?)"
@@ -64,7 +64,7 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         UserError: when it is damaged or not a checkpoint.
     """
     if not path.is_file():
-        raise FileNotFoundError(no_checkpoint(path))
+        raise FileNotFoundError(no_checkpoint_message(path))
     try:
         with zipfile.ZipFile(path) as members:
             whole, size = sum(member.file_size for member in members.infolist()), path.stat().st_size

@@ -6,20 +6,20 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from omniocc.config import PACKAGES, PACKAGES_VARIABLE, foreign_packages, own_code
+from omniocc.config import PACKAGES, PACKAGES_VARIABLE
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
-from omniocc.runs.checkpoint_io import LAST, no_checkpoint, resumable
+from omniocc.runs.checkpoint_io import LAST, no_checkpoint_message, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
-from omniocc.runs.slots import sketch_learns
+from omniocc.runs.slots import foreign_packages, own_code, sketch_learns
 from omniocc.runs.weights import find_checkpoint
 
 METRICS = "metrics.json"
@@ -78,8 +78,8 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
     unused = () if sketch_learns(config) else ("depth", "appearance")
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
-    stages = config["stages"] if sketch_learns(config) else {LAST_STAGE: config["stages"][LAST_STAGE]}
-    kept["stages"] = {stage: with_digest(f"stages.{stage}.weights", recipe) for stage, recipe in stages.items()}
+    stages = config["stages"] if sketch_learns(config) else (LAST_STAGE,)
+    kept["stages"] = with_digests(config["stages"], stages)
     return short_hash([kept, data_fingerprint, *own_code(kept)])
 
 
@@ -90,20 +90,23 @@ def without_machine(tree: Any) -> Any:
     return [without_machine(value) for value in tree] if isinstance(tree, list) else tree
 
 
-def with_digest(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration with the hash of the file of weights that it starts from instead of the file's name.
+def with_digests(recipes: Mapping[str, Any], stages: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the recipes of some stages, with the hash of the file of weights that each starts from, not its name.
 
-    Without such a file it has no `weights`. `key` is where they are given, for the message.
+    A file that is trained again under its name then gives another hash. Without such a file there is no `weights`.
 
     Raises:
-        FileNotFoundError: when there is no such file.
+        FileNotFoundError: naming the key, when there is no such file.
     """
-    if config.get("weights") is None:
-        return {key: value for key, value in config.items() if key != "weights"}
-    path = find_checkpoint(config["weights"])
-    if not path.is_file():
-        raise FileNotFoundError(f"{key}={config['weights']}: {no_checkpoint(path)}")
-    return {**config, "weights": sha256(path)}
+    found: dict[str, dict[str, Any]] = {}
+    for stage in stages:
+        found[stage] = {key: value for key, value in recipes[stage].items() if key != "weights"}
+        if (weights := recipes[stage].get("weights")) is not None:
+            path = find_checkpoint(weights)
+            if not path.is_file():
+                raise FileNotFoundError(f"stages.{stage}.weights={weights}: {no_checkpoint_message(path)}")
+            found[stage]["weights"] = sha256(path)
+    return found
 
 
 def short_hash(content: Any) -> str:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 PR_SET_PDEATHSIG = 1
-LOOK_EVERY_S = 0.1
 THREADS = "OMP_NUM_THREADS"
 
 
@@ -114,32 +113,31 @@ def serve(script: str) -> dict[str, Any]:
     gc.collect()
     gc.freeze()  # garbage collection in a copy then leaves the memory alone that copies have in common
     requests = os.fdopen(os.dup(0), "rb", buffering=0)
-    running: dict[int, int] = {}
+    running: dict[int, tuple[int, int]] = {}
     count = 0
     while True:
-        if select.select([requests], [], [], LOOK_EVERY_S)[0]:
+        ready = select.select([requests, *running], [], [])[0]
+        for ended in [process for process in running if process in ready]:
+            number, pid = running.pop(ended)
+            os.close(ended)
+            code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+            print(json.dumps({"number": number, "code": code}), file=answers, flush=True)
+        if requests in ready:
             line = requests.readline()
             if not line:
                 sys.exit()
             pid = os.fork()
             if pid == 0:
                 return json.loads(line)
-            running[pid] = count
+            os.setpgid(pid, pid)  # by both, so that the group exists when its number is known
+            running[os.pidfd_open(pid)] = count, pid  # can be read from when the process has ended
             print(json.dumps({"number": count, "pid": pid}), file=answers, flush=True)
             count += 1
-        for pid, code in ended(running):
-            print(json.dumps({"number": running.pop(pid), "code": code}), file=answers, flush=True)
-
-
-def ended(running: Mapping[int, int]) -> list[tuple[int, int]]:
-    """Return processes that have ended, with their exit codes."""
-    found = [(pid, os.waitpid(pid, os.WNOHANG)) for pid in running]
-    return [(pid, os.waitstatus_to_exitcode(status)) for pid, (done, status) in found if done]
 
 
 def become(script: str, request: Mapping[str, Any]) -> None:
     """Take over arguments, environment and output of a request, in a group of processes of its own."""
-    os.setsid()
+    os.setpgid(0, 0)
     end_with_parent()
     output = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
     for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), output, output)):

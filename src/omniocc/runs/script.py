@@ -4,23 +4,26 @@ import functools
 import inspect
 import logging
 import os
+import re
 import select
 import sys
 import warnings
 from argparse import Action, ArgumentParser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from difflib import SequenceMatcher, get_close_matches
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import cv2
 import hydra
-from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from omniocc.config import VERSION_BASE, refuse_credentials
+from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
 from omniocc.errors import UserError
-from omniocc.runs.overrides import explain
+from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -135,3 +138,102 @@ def quiet_libraries() -> None:
     warnings.filterwarnings("ignore", module="lightning")
     warnings.filterwarnings("ignore", module="torch.utils.data")
     warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
+
+
+NEAREST_KEYS = 3
+LAST_OPTIMIZER = "stages.occupancy.optimizer"
+NEAR_ENOUGH = 0.6
+
+
+def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
+    """Return a few lines about a mistake in overrides: first the problem, then the nearest keys or options.
+
+    Hydra raised the error while it composed the file `config_name` of the folder `conf` with the arguments of the
+    command line.
+    """
+    cause = error.__cause__
+    if isinstance(error, OverrideParseException):
+        reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
+        remedy = "quote lists, and texts with commas, spaces or other signs: 'key=[1,2]', 'key=\"a b\"'"
+        return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
+        return _unknown_option(error.missing_cfg_file, error.options)
+    if isinstance(error, InstantiationException) and cause is not None:
+        return f"{refused_key(error)}: {cause}"
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
+        return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
+    lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
+    return "\n  ".join([line.strip() for line in lines if line.strip()])
+
+
+def _unknown_option(missing: str, options: Sequence[str]) -> str:
+    """Return the lines about a missing option such as 'model/sketch/onmi', given the options that Hydra lists."""
+    group, _, option = missing.rpartition("/")
+    close = get_close_matches(option, options, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(options))}"
+
+
+def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
+    """Return the lines about an unknown key; one with a slash is taken for a group."""
+    if key.startswith(f"{LAST_OPTIMIZER}."):
+        own = key.removeprefix("stages.occupancy.")
+        return f"{key}: the optimiser of the last stage is the group optimizer: {own}=..."
+    parent, _, last = key.rpartition(".")
+    if parent == "trainer" and last in NOT_OF_TRAINER:
+        return f"{key}: {NOT_OF_TRAINER[last]}"
+    if (new := new_key(key)) is not None:
+        return f"{key}: it is {new} now"
+    close = nearest(key, groups if "/" in key else [*keys, *groups])
+    if close:
+        hint = f"; did you mean {' or '.join(close)}?"
+    else:
+        parents = list(accumulate(key.split(".")[:-1], "{}.{}".format))
+        parent = next((p for p in reversed(parents) if any(k.startswith(f"{p}.") for k in keys)), "")
+        within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
+        children = groups if "/" in key else [child for child in within if "." not in child]
+        hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
+    if key.startswith("trainer."):
+        hint += f"\n  other arguments of Lightning's Trainer are added with a plus: +{key}=..."
+    if key.startswith("preset."):
+        hint += "\n  a number of a part is changed by the part's own key: model.lifter.layers=..."
+    return f"{key}: there is no such key{hint}"
+
+
+def nearest(name: str, known: Sequence[str]) -> list[str]:
+    """Return the most similar of known dotted or slashed names, best first; the last part has half of the weight."""
+
+    def similarity(candidate: str) -> float:
+        last = SequenceMatcher(None, _last(name), _last(candidate)).ratio()
+        return (SequenceMatcher(None, name, candidate).ratio() + last) / 2
+
+    scored = sorted(
+        ((similarity(candidate), candidate) for candidate in dict.fromkeys(known)), key=lambda item: -item[0]
+    )
+    return [candidate for score, candidate in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
+
+
+def _last(name: str) -> str:
+    return re.split(r"[./]", name)[-1]
+
+
+def _names(conf: str, config_name: str, wrong: str, arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return all keys and groups of the configuration composed without the wrong override, or without any."""
+    overrides = [a for a in arguments if "=" in a and not a.startswith("-") and wrong not in a.split("=")[0]]
+    with hydra.initialize_config_dir(conf, version_base=VERSION_BASE):
+        try:
+            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
+        except HydraException:  # another mistake, or values to sweep over
+            cfg = hydra.compose(config_name, return_hydra_config=True)
+    tree = cast(dict, OmegaConf.to_container(cfg, resolve=False))
+    options = tree.pop("hydra")
+    keys = [*_keys(tree, ""), *_keys(options["launcher"], "hydra.launcher.")]
+    groups = [group for group in options["runtime"]["choices"] if "@" not in group and not group.startswith("hydra/")]
+    return [key for key in keys if not _last(key).startswith("_")], groups
+
+
+def _keys(tree: dict, prefix: str) -> Iterator[str]:
+    for key, value in tree.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _keys(value, f"{prefix}{key}.")

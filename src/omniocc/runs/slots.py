@@ -1,9 +1,10 @@
-"""The option in each slot of a model, and whether there are stages before occupancy."""
+"""The option in each slot of a model, whether there are stages before occupancy, and whose classes are named."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from omniocc.config import OWN_PACKAGE, target_of
+from omniocc.code import code_of_classes
+from omniocc.config import OWN_PACKAGE, PACKAGES, target_of
 from omniocc.model.protocols import learns
 
 
@@ -46,3 +47,24 @@ def slots_line(config: Mapping[str, Any]) -> str:
     """Return the options of all slots and the voxels: `geometry=cylinder, sketch=omni; 64x100x8 voxels`."""
     slots = ", ".join(f"{slot}={option}" for slot, option in slots_of(config).items())
     return f"{slots}; {'x'.join(map(str, config['model']['geometry']['shape']))} voxels"
+
+
+def foreign_packages(tree: Any, packages: Sequence[str]) -> list[str]:
+    """Return, sorted, the packages of the classes in a plain tree that are not among `packages`."""
+    return sorted({name.split(".")[0] for name in classes_in(tree)} - set(packages))
+
+
+def own_code(tree: Any) -> list[str]:
+    """Return a hash of the code of the classes in a plain tree that are of other packages; an empty list without any.
+
+    See `omniocc.code.code_of_classes`. A list, to be added to what is hashed.
+    """
+    code = code_of_classes(name for name in classes_in(tree) if name.split(".")[0] not in PACKAGES)
+    return [code] if code else []
+
+
+def classes_in(tree: Any) -> set[str]:
+    """Return the names of the classes (`_target_`) in a plain tree."""
+    children = tree.values() if isinstance(tree, Mapping) else tree if isinstance(tree, list) else ()
+    found = {name for child in children for name in classes_in(child)}
+    return found | ({str(tree["_target_"])} if isinstance(tree, Mapping) and "_target_" in tree else set())

@@ -32,10 +32,10 @@ FIGURE = re.compile(r"[–=]|(?=.*\d)(?:[\s\d.,/()<>%+±*✅☑❌❓–=-]|and|
 
 def summary(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows of the overview: RayIoU, by distance and of surfaces, voxel IoU and mIoU."""
-    return compared({label: (metrics, row) for row, label in ROWS.items()})
+    return comparison_cells({label: (metrics, row) for row, label in ROWS.items()})
 
 
-def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
+def comparison_cells(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
     """Return head and rows of the overview of several results, each given by its figures and their prefix."""
     first = next(iter(rows.values()))[0]
     columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]

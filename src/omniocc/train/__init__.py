@@ -1,10 +1,10 @@
 """Lightning modules of the stages, and what trains them."""
 
 from omniocc.train.adamw import AdamW
+from omniocc.train.callbacks import StepProgress, TrainingTime
 from omniocc.train.depth import DepthTask
 from omniocc.train.muon import Muon
 from omniocc.train.occupancy import OccupancyTask
-from omniocc.train.progress import StepProgress, TrainingTime
 from omniocc.train.scores import Scores
 from omniocc.train.sketch import SketchTask
 from omniocc.train.stage_task import Recipe

@@ -72,4 +72,12 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
     config = parts.config
     factors = config.get("lr_multipliers") or {}  # checkpoints of older versions have none
     seed = OmegaConf.select(parts.cfg, "stages.occupancy.seed", default=config["seed"])
-    return OccupancyTask(model, *parts.of_task(), parts.cfg.ema_decay, spec, config, factors, seed)
+    return OccupancyTask(
+        model,
+        *parts.of_task(),
+        ema_decay=parts.cfg.ema_decay,
+        spec=spec,
+        config=config,
+        lr_multipliers=factors,
+        seed=seed,
+    )

@@ -16,8 +16,7 @@ from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
 from omniocc.model.ops.padded import to_unit_range
 from omniocc.model.protocols import Calibrates
 from omniocc.train.adamw import AdamW
-from omniocc.train.stage_task import StageTask, step_generator
-from omniocc.train.terms import log_terms
+from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 FARTHEST_M = 100.0
 """Largest range in errors in metres; ranges beyond are clamped."""

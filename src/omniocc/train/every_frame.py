@@ -45,10 +45,10 @@ class Leaves(NamedTuple):
         absent = {scene.name for cache in self.caches for scene in cache.missing(own)}
         return [scene for scene in own if scene.name in absent]
 
-    def fill(self, task: StageTask, device: torch.device, num_workers: int, title: str) -> None:
-        """Predict for all frames of the missing scenes on a device; loader processes read the inputs."""
-        if not (missing := self.missing()):
-            return
+    def fill(
+        self, missing: Sequence[SceneFrames], task: StageTask, device: torch.device, num_workers: int, title: str
+    ) -> None:
+        """Predict for all frames of these scenes on a device; loader processes read the inputs."""
         task.to(device).eval()
         inputs = iter(DataLoader(Frames(missing, self.read), batch_size=None, **worker_options(num_workers)))
         with Progress(f"{title}, {self.what}", sum(map(len, missing))) as progress, torch.inference_mode():

@@ -152,9 +152,9 @@ class SketchImages(FrameImages):
             output,
             task.sketch.geometry,
             self.classes,
-            task.sketch.panorama,
-            range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
-            batch.frame_ids[sample],
+            panorama=task.sketch.panorama,
+            range_m=range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
+            caption=batch.frame_ids[sample],
         )
         return Drawn(sheet)
 

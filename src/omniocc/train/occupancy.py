@@ -20,8 +20,7 @@ from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
 from omniocc.train.scene_counts import SceneCounts
 from omniocc.train.scores import Scores
-from omniocc.train.stage_task import StageTask, step_generator
-from omniocc.train.terms import log_terms
+from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 
 class OccupancyTask(StageTask[OccupancyModel]):

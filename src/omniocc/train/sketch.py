@@ -10,8 +10,7 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import CandidateScores
 from omniocc.model.protocols import LearnedSketch
 from omniocc.train.adamw import AdamW
-from omniocc.train.stage_task import StageTask
-from omniocc.train.terms import log_terms
+from omniocc.train.stage_task import StageTask, log_terms
 
 
 class SketchTask(StageTask[nn.Module]):

@@ -34,11 +34,9 @@ from omniocc.runs.results import (
     utc_text,
 )
 from omniocc.runs.wandb.loggers import finish
+from omniocc.train.callbacks import LastCheckpoint, StepProgress, StopAtSignal, TrainingTime
 from omniocc.train.every_frame import Leaves
-from omniocc.train.last import LastCheckpoint
-from omniocc.train.progress import StepProgress, TrainingTime
 from omniocc.train.stage_task import Recipe, StageTask
-from omniocc.train.stop import StopAtSignal
 
 
 class Place(NamedTuple):
@@ -139,17 +137,19 @@ class Stage(ABC):
         """Train and test unless that is done, fill what later stages read, and return the figures."""
         with self.claimed(title) as place:
             leaves = self.leaves() if self.followed else None
+            missing = leaves.missing() if leaves else []
             if place.finished:
                 announce(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.AGAIN}")
-            if not place.finished or (leaves and leaves.missing()):
+            if not place.finished or missing:
                 seed_everything(self.recipe.seed, workers=True, verbose=False)
                 task = self.task(first_rig(self.data.source))
                 if place.finished:
                     task.model.load_state_dict(load_checkpoint(place.folder / LAST).model_weights)
                 else:
                     self.train(task, place, title)
-                if leaves is not None:
-                    leaves.fill(task, self.parts.trainer().strategy.root_device, self.data.num_workers, title)
+                if leaves is not None and missing:
+                    device = self.parts.trainer().strategy.root_device
+                    leaves.fill(missing, task, device, self.data.num_workers, title)
         barrier()
         if is_first():
             show_results(place.results)
@@ -162,7 +162,7 @@ class Stage(ABC):
             atomic_write(place.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
         data = self.parts.data(window=self.window, batch_size=recipe.batch_size, seed=recipe.seed)
         data.set_needs(*self.needs(task))
-        data.setup()
+        data.setup()  # `begin` counts classes in the training frames; when Lightning calls it again, nothing changes
         given = self.begin(task, data, place.checkpoint)
         duration = TrainingTime()
         trainer = self.parts.trainer(

@@ -5,11 +5,11 @@ from typing import Any, NamedTuple, cast
 
 from omegaconf import DictConfig
 
-from omniocc.config import own_code, plain, target_of
+from omniocc.config import plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
-from omniocc.runs.folder import OF_MACHINES, short_hash, with_digest
-from omniocc.runs.slots import depth_learns, sketch_learns
+from omniocc.runs.folder import OF_MACHINES, short_hash, with_digests
+from omniocc.runs.slots import depth_learns, own_code, sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
@@ -64,11 +64,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     trainer = _without(config["trainer"], OVERRULED)
     together = config["data"].get("samples_per_scene", 1)  # decides the order of the samples
     trainer |= {} if together == 1 else {"samples_per_scene": together}
-    stages = {
-        stage: with_digest(f"stages.{stage}.weights", recipe)
-        for stage, recipe in config["stages"].items()
-        if stage in STAGES[:2]
-    }
+    stages = with_digests(config["stages"], STAGES[:2])
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []

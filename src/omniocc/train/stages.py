@@ -139,10 +139,16 @@ class DepthStage(EarlierStage):
         return self.store(RangeCache, shape, self.folder / "ranges", "ranges", self.keys.ranges_of_all)
 
     def task(self, rig: Rig) -> DepthTask:  # noqa: D102
-        model, recipe, edges_m = self.parts.depth(), self.recipe, self.data.spec.range_edges_m
-        spheres = cast(Depth, model).rig_spheres(rig)
-        appearance = self.parts.appearance()
-        return DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, self.parts.config, appearance)
+        model = self.parts.depth()
+        return DepthTask(
+            model,
+            self.recipe.optimizer,
+            spheres=cast(Depth, model).rig_spheres(rig),
+            range_edges_m=self.data.spec.range_edges_m,
+            seed=self.recipe.seed,
+            config=self.parts.config,
+            appearance=self.parts.appearance(),
+        )
 
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)

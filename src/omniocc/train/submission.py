@@ -47,7 +47,7 @@ def score_files(
         raise UserError(f"{missing[0]}: {len(missing)} of {len(files)} predictions are missing, this is the first")
     own_rays = source.spec.lidar_directions is None
     needs = Needs(images=False, voxels=False, pixel_labels=False)
-    data = WindowDataset(scenes, labels, 1, needs, own_rays, origins, benchmark.grid)
+    data = WindowDataset(scenes, labels, 1, needs, own_rays=own_rays, origins=origins, scored_grid=benchmark.grid)
     scores = Scores(benchmark.grid, source.spec)
     read: PredictionReader = lambda scene, path: scene.read_prediction(path)  # noqa: E731
     if isinstance(source, NumberedSubmissions):

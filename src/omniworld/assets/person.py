@@ -46,7 +46,9 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
     poses = []
     for phase in range(PHASES):
         swing = 0.45 * np.sin(2 * np.pi * phase / PHASES)
-        limbs = [part for side in (-1, 1) for part in _limbs(side, side * swing, height, wide, coat, trousers, skin)]
+        limbs = [
+            part for side in (-1, 1) for part in _limbs(side, side * swing, height, wide, coat, trousers, skin=skin)
+        ]
         poses.append(concatenate(still + limbs))
     return poses
 

@@ -52,7 +52,7 @@ def ball(rng: np.random.Generator) -> Mesh:
     """Build a smooth or lumpy ellipsoid."""
     radius = np.exp(rng.uniform(np.log(0.2), np.log(1.8), 3)).tolist()
     size = (radius[0], radius[1], radius[2])
-    return _tilted(rng, blob(rng, size, (0.0, 0.0, 0.0), _skin(rng), float(rng.uniform(0, 0.3)), 11, 8))
+    return _tilted(rng, blob(rng, size, (0.0, 0.0, 0.0), _skin(rng), float(rng.uniform(0, 0.3)), 11, rows=8))
 
 
 def turned(rng: np.random.Generator) -> Mesh:

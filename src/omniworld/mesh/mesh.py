@@ -46,7 +46,7 @@ def empty() -> Mesh:
         np.zeros(0, np.uint8),
         np.zeros(0, np.uint8),
         np.zeros((0, 3), np.uint8),
-        np.zeros(0, np.int32),
+        instance=np.zeros(0, np.int32),
     )
 
 
@@ -95,5 +95,5 @@ def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndar
         np.tile(mesh.label, count),
         np.tile(mesh.material, count),
         colors.reshape(-1, 3),
-        np.tile(mesh.instance, count),
+        instance=np.tile(mesh.instance, count),
     )

@@ -60,7 +60,7 @@ def _uniform(vertices_m: np.ndarray, faces: np.ndarray, uv_m: np.ndarray, skin: 
         np.full(count, skin.label, np.uint8),
         np.full(count, skin.material, np.uint8),
         color,
-        np.full(count, -1, np.int32),
+        instance=np.full(count, -1, np.int32),
     )
 
 

@@ -1,21 +1,24 @@
-"""The image of one camera: colours, classes and ranges."""
+"""The image of one camera: colours by shading and exposure, classes and ranges."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from omniocc.classes import UNKNOWN
 from omniworld.render.caster import Hits
-from omniworld.render.exposure import develop
-from omniworld.render.kernel import average, find_borders
-from omniworld.render.light import Light, Sensor
-from omniworld.render.rain import streaks
-from omniworld.render.shade import Shading, shade
-from omniworld.render.snapshot import Snapshot
+from omniworld.render.kernel import average, develop_channel, find_borders, light_values, shade_rays, shadow_starts
+from omniworld.render.light import Light, Sensor, cloud_pattern
+from omniworld.render.snapshot import Shadows, Snapshot
+from omniworld.render.surface import Surfaces
+from omniworld.render.texture.atlas import make_atlas
 from omniworld.render.view import View
 
 _STEP_M = np.float32(0.08)  # least step in depth at which neighbouring pixels are smoothed
 _STEP_FRACTION = np.float32(0.02)  # the same as a fraction of the distance
+_NO_POOLS = np.zeros(0, np.float32)
+_RAIN_PX = 512
+_RAIN_SLANT = 0.12
 
 
 class CameraImage(NamedTuple):
@@ -44,6 +47,14 @@ class RenderedPixels(NamedTuple):
     ego: np.ndarray
 
 
+class Shading(NamedTuple):
+    """For R rays: linear colour (3, R), distance (R,) of the hit plane from the camera, and whether it is sunlit."""
+
+    color: np.ndarray
+    offset_m: np.ndarray
+    lit: np.ndarray
+
+
 def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     """Cast the pixels' rays and shade what they hit.
 
@@ -64,13 +75,13 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
             surfaces.key,
             seen.lit,
             seen.offset_m,
-            hits.range_m,
-            _STEP_M,
-            _STEP_FRACTION,
-            border,
-            shadow,
+            range_m=hits.range_m,
+            step_m=_STEP_M,
+            step_fraction=_STEP_FRACTION,
+            surface=border,
+            shadow=shadow,
         )
-        _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe)
+        _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe=maybe)
     hit = hits.face >= 0
     key = np.where(hit, surfaces.key.take(hits.face), 0)
     label = np.where(hit, surfaces.label.take(hits.face), np.uint8(0))
@@ -96,7 +107,7 @@ def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: 
 
 def _shade(view: View, snapshot: Snapshot, hits: Hits, directions_ego: np.ndarray) -> Shading:
     eye, directions = snapshot.world_point(view.origin_m), snapshot.world_directions(directions_ego)
-    return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, view.pixel_rad)
+    return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, pixel_rad=view.pixel_rad)
 
 
 def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
@@ -131,3 +142,92 @@ def _image(view: View, values: np.ndarray, outside: float | int) -> np.ndarray:
     image = np.full((view.size[0] * view.size[1], *values.shape[1:]), outside, values.dtype)
     image[view.pixel] = values
     return image.reshape(*view.size, *values.shape[1:])
+
+
+def shade(
+    hits: Hits,
+    origin: np.ndarray,
+    directions: np.ndarray,
+    surfaces: Surfaces,
+    shadows: Shadows,
+    light: Light,
+    pixel_rad: float,
+) -> Shading:
+    """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
+
+    Under clouds only level ground is tested for shadow: whether a car or another low object is above it.
+
+    `hits` are those of R rays from the camera at `origin` (3,) along unit `directions` (3, R) float32 in world axes,
+    `surfaces` the tables of their faces; `pixel_rad` is the angle between neighbouring pixels.
+    """
+    count = len(hits.face)
+    hits, directions = Hits(*map(np.ascontiguousarray, hits)), np.ascontiguousarray(directions)
+    values, table = light_values(light), surfaces.table
+    points, rays = np.empty((3, count), np.float32), np.empty(count, np.int32)
+    tested = shadow_starts(hits, directions, origin, table, values, points, rays=rays)
+    dark = np.zeros(count, bool)
+    dark[rays[:tested]] = shadows.fall_on(points[:, :tested])
+    shading = Shading(np.empty((3, count), np.float32), np.empty(count, np.float32), np.empty(count, bool))
+    pools = _NO_POOLS if light.pools is None else light.pools
+    look = make_atlas(), cloud_pattern(), pools, values, np.float32(pixel_rad)
+    shade_rays(hits, dark, directions, origin, table, *look, *shading)
+    return shading
+
+
+def streaks(size: tuple[int, int], pixel: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return (P,) float32 fraction, 0..1, of each pixel's view that drops hide.
+
+    `size` is the image's height and width, `pixel` (P,) the index into the flattened image.
+    """
+    scale = _RAIN_PX / (1.2 * size[0])
+    shift = rng.integers(0, _RAIN_PX, 2)
+    row = ((pixel // size[1]) * scale + shift[0]).astype(np.int32) & (_RAIN_PX - 1)
+    column = ((pixel % size[1]) * scale + shift[1]).astype(np.int32) & (_RAIN_PX - 1)
+    return _rain()[row * _RAIN_PX + column]
+
+
+@lru_cache(maxsize=1)
+def _rain() -> np.ndarray:
+    rng = np.random.default_rng(29)
+    pattern = np.zeros((_RAIN_PX, _RAIN_PX), np.float32)
+    for _ in range(700):
+        length, width = int(rng.integers(14, 70)), int(rng.integers(1, 4))
+        row, column, strength = int(rng.integers(_RAIN_PX)), int(rng.integers(_RAIN_PX)), rng.uniform(0.15, 0.6) / width
+        rows = (row + np.arange(length)) % _RAIN_PX
+        fade = np.sin(np.pi * (np.arange(length) + 0.5) / length)
+        for offset in range(width):
+            columns = (column + offset + np.rint(_RAIN_SLANT * np.arange(length)).astype(int)) % _RAIN_PX
+            pattern[rows, columns] += (strength * fade).astype(np.float32)
+    return np.minimum(pattern, 0.7).ravel()
+
+
+def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Turn linear light (3, P) into RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim.
+
+    `rng` draws the noise.
+    """
+    gain = sensor.exposure * (1 - sensor.vignette * falloff)
+    result = np.empty((linear.shape[1], 3), np.uint8)
+    grain = _grain()
+    noise = np.float32(sensor.read_noise), np.float32(sensor.shot_noise)
+    for channel, balance in enumerate(sensor.white_balance):
+        start = int(rng.integers(0, len(grain)))
+        develop_channel(
+            linear[channel], gain, balance, *noise, grain, start=start, curve=_CURVE, rgb=result, channel=channel
+        )
+    return result
+
+
+def _tone_curve() -> np.ndarray:
+    value = np.arange(4096) / 1024
+    shoulder = value * (1 + value / 9) / (1 + 0.85 * value) * 1.08
+    encoded = np.where(shoulder < 0.0031308, 12.92 * shoulder, 1.055 * np.maximum(shoulder, 1e-6) ** (1 / 2.4) - 0.055)
+    return np.clip(np.rint(255 * encoded), 0, 255).astype(np.uint8)
+
+
+_CURVE = _tone_curve()
+
+
+@lru_cache(maxsize=1)
+def _grain() -> np.ndarray:
+    return np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32)

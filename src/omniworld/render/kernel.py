@@ -9,9 +9,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 
 from omniworld.assets.building import STOREY_M
-from omniworld.render.lamp import CELL_M, SIDE
-from omniworld.render.light import Light
-from omniworld.render.sky import CLOUDS_PX
+from omniworld.render.light import CLOUDS_PX, LAMP_CELL_M, LAMP_CELLS, Light
 from omniworld.render.surface import COLOR, EMITTED, GLAZED, GLOSS, LAYER, NORMAL, UV, UV_EDGE_1, UV_EDGE_2
 from omniworld.render.texture.atlas import LAYER_PX, LEVEL_START, LEVELS, MACRO_M, SIZE_PX
 from rayiou.compiled import compiled
@@ -159,12 +157,12 @@ def sample(layer, ground_step, u_m, v_m, footprint_m, texels, texel_sizes_m, mac
 def lamp_shine(pools, x_m, y_m, up):
     """Return the light of street lamps on a surface at world x and y with a normal of upward component `up`.
 
-    `pools` are from `lamp.lamp_pools`, empty where no lamps are lit.
+    `pools` are from `light.lamp_pools`, empty where no lamps are lit.
     """
     if len(pools) == 0:
         return 0.0
-    row, column = floor(x_m / CELL_M) & (SIDE - 1), floor(y_m / CELL_M) & (SIDE - 1)
-    return 0.9 * pools[row * SIDE + column] * (0.25 + 0.75 * max(up, 0.0))
+    row, column = floor(x_m / LAMP_CELL_M) & (LAMP_CELLS - 1), floor(y_m / LAMP_CELL_M) & (LAMP_CELLS - 1)
+    return 0.9 * pools[row * LAMP_CELLS + column] * (0.25 + 0.75 * max(up, 0.0))
 
 
 @compiled
@@ -199,7 +197,7 @@ def mirrored_sky(x, y, z, clouds, light):
 def shade_rays(hits, dark, directions, origin, table, atlas, clouds, pools, light, pixel_rad, color, offset_m, lit):
     """Fill the linear colour (3, R) of each ray, the distance (R,) of the hit plane, and whether it is sunlit.
 
-    `dark` (R,) bool is whether a shadow falls there. See `omniworld.render.shade`.
+    `dark` (R,) bool is whether a shadow falls there. See `omniworld.render.capture`.
     """
     sun, zenith, horizon, bounce = light.sun, light.zenith, light.horizon, light.bounce
     covered = sun[0] + sun[1] + sun[2] <= 0
@@ -223,7 +221,9 @@ def shade_rays(hits, dark, directions, origin, table, atlas, clouds, pools, ligh
         v_m = table[face, _U + 1] + u * table[face, _U1 + 1] + v * table[face, _U2 + 1]
         footprint_m = range_m * pixel_rad / sqrt(max(cosine, 0.05))
         code = int(table[face, LAYER])
-        tint, own_red, own_green, own_blue = sample(code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_m, macro)
+        tint, own_red, own_green, own_blue = sample(
+            code >> 1, code & 1, u_m, v_m, footprint_m, texels, texel_sizes_m=texel_m, macro=macro
+        )
         red = table[face, _RED] * tint + own_red
         green = table[face, _RED + 1] * tint + own_green
         blue = table[face, _RED + 2] * tint + own_blue

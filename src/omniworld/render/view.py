@@ -68,12 +68,12 @@ def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
         below,
         origin_m,
         np.ascontiguousarray(center.T),
-        np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
-        ego_car.cast(origin_m[None], center),
-        ego_car.cast(origin_m[None], flat),
-        float(steps.mean()),
-        _tiles(pixel, (height, width), center, float(steps.max())),
-        ((angle / angle.max()) ** 2).astype(np.float32),
+        extra=np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
+        ego_center_hits=ego_car.cast(origin_m[None], center),
+        ego_extra_hits=ego_car.cast(origin_m[None], flat),
+        pixel_rad=float(steps.mean()),
+        cones=_tiles(pixel, (height, width), center, float(steps.max())),
+        falloff=((angle / angle.max()) ** 2).astype(np.float32),
     )
 
 

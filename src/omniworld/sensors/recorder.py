@@ -71,11 +71,11 @@ class Recorder:
             semantics,
             range_m,
             erp_range_m,
-            points_m,
-            labels,
-            lidar_range_m,
-            lidar_labels,
-            boxes,
+            points_m=points_m,
+            point_labels=labels,
+            lidar_range_m=lidar_range_m,
+            lidar_labels=lidar_labels,
+            boxes=boxes,
         )
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

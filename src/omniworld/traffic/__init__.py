@@ -1,4 +1,4 @@
 """Moving cars and people; `traffic.Traffic` gives all actors and the ego pose at any time.
 
-Cars: fleet (vehicles), lanes (their paths), flow (their motion); people: pedestrians, path.
+`lanes` are the paths of cars, `flow` is their motion; `traffic` draws vehicles and people and moves them.
 """

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from omniworld.mesh.label import VEHICLE
-from omniworld.render.lamp import CELL_M, SIDE
-from omniworld.render.light import Light
+from omniworld.render.light import LAMP_CELL_M, LAMP_CELLS, Light
 from omniworld.render.snapshot import Snapshot
 from omniworld.scene import Scene
 from omniworld.traffic.traffic import Actor
@@ -68,12 +67,12 @@ def with_beams(pools: np.ndarray, beams: Sequence[Beam]) -> np.ndarray:
 
     Nothing stands in the way of the light, and it is as bright at every height.
     """
-    lit = pools.reshape(SIDE, SIDE).copy()
-    steps = np.arange(-int(REACH_M / CELL_M), int(REACH_M / CELL_M) + 1)
+    lit = pools.reshape(LAMP_CELLS, LAMP_CELLS).copy()
+    steps = np.arange(-int(REACH_M / LAMP_CELL_M), int(REACH_M / LAMP_CELL_M) + 1)
     for place, direction in beams:
-        cells = np.floor(place / CELL_M).astype(int)
-        x, y = ((cell + steps + 0.5) * CELL_M - at for cell, at in zip(cells, place, strict=True))
-        rows, columns = (cells[:, None] + steps) % SIDE
+        cells = np.floor(place / LAMP_CELL_M).astype(int)
+        x, y = ((cell + steps + 0.5) * LAMP_CELL_M - at for cell, at in zip(cells, place, strict=True))
+        rows, columns = (cells[:, None] + steps) % LAMP_CELLS
         ahead = x[:, None] * direction[0] + y * direction[1]
         aside = y * direction[0] - x[:, None] * direction[1]
         window = np.ix_(rows, columns)

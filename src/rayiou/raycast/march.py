@@ -17,9 +17,6 @@ import numpy as np
 from rayiou.compiled import compiled
 from rayiou.raycast.crossings import FACE, FAR, TOUCH_M
 
-BATCH = 16
-"""Parameters computed together before the next check whether they are beyond the grid."""
-
 
 @compiled
 @no_type_check
@@ -31,15 +28,12 @@ def plane_params(origin, along, start, reach, low, size, cells, params):
     step = 1 if along > 0 else -1
     first = index + (along > 0)
     total = cells - index if along > 0 else index + 1
-    count = 0
-    while count < total:
-        until = min(count + BATCH, total)
-        for i in range(count, until):
-            params[i] = ((first + step * i) * size + low - origin) / along
-        count = until
-        if params[count - 1] >= reach:
-            break
-    return index, step, count
+    for i in range(total):
+        # from the number of the boundary: adding a step at each crossing would add up its rounding errors
+        params[i] = ((first + step * i) * size + low - origin) / along
+        if params[i] >= reach:
+            return index, step, i + 1
+    return index, step, total
 
 
 @compiled
@@ -49,26 +43,23 @@ def ring_params(x, y, along_x, along_y, start, reach, low, size, cells, params):
     speed2 = along_x * along_x + along_y * along_y
     here_x, here_y = x + start * along_x, y + start * along_y
     ring = min(max(floor((sqrt(here_x * here_x + here_y * here_y) - low) / size), -1), cells - 1)
-    if speed2 < TOUCH_M**2:
+    if speed2 < TOUCH_M**2:  # vertical: it stays in one ring
         return ring, 0, 0
     nearest = -(x * along_x + y * along_y) / speed2
     miss2 = (x * along_y - y * along_x) ** 2 / speed2
     innermost = min(max(floor((sqrt(miss2) - low) / size), -1), cells - 1)
-    distance = max(ring - innermost, 0)
-    turn = -distance if start < nearest else distance
+    distance = max(ring - innermost, 0)  # rounding can put the start one ring inside of the innermost
+    turn = -distance if start < nearest else distance  # rings from the innermost one, negative on the way in
     middle = low + (innermost + 0.5) * size
     total = cells - innermost - turn
-    count = 0
-    while count < total:
-        until = min(count + BATCH, total)
-        for i in range(count, until):
-            later = turn + i + 0.5
-            radius = abs(later) * size + middle
-            params[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
-        count = until
-        if params[count - 1] >= reach:
-            break
-    return innermost + distance, max(-turn, 0), count
+    for i in range(total):
+        later = turn + i + 0.5  # the half makes the sign tell inner boundaries from outer ones
+        radius = abs(later) * size + middle
+        # a ray that only touches a ring may miss it by rounding: no root of a negative number
+        params[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
+        if params[i] >= reach:
+            return innermost + distance, max(-turn, 0), i + 1
+    return innermost + distance, max(-turn, 0), total
 
 
 @compiled
@@ -86,7 +77,7 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
     side = x * along_y - y * along_x
     if speed2 < TOUCH_M**2:
         return sector_of(x + start * along_x, y + start * along_y, cells, 0.0), 0, 0
-    if side**2 / speed2 < TOUCH_M**2:
+    if side**2 / speed2 < TOUCH_M**2:  # through the axis, where it changes to the opposite sector
         after, nearest = sector_of(along_x, along_y, cells, FACE), -(x * along_x + y * along_y) / speed2
         if start >= nearest - TOUCH_M:
             return after, 0, 0
@@ -95,20 +86,18 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
         return before, after - before, 1
     index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
     sweep = 1 if side > 0 else -1
-    # faces are in the order of the sweep, twice around
+    # faces are in the order of the sweep, twice around, so that their number needs no modulo
     sin, cos = (faces[0], faces[1]) if side > 0 else (faces[2], faces[3])
     first = index + 1 if side > 0 else cells - 1 - index
-    total, count = (cells + 1) // 2, 0
-    while count < total:
-        until = min(count + BATCH, total)
-        for i in range(count, until):
-            across = along_y * cos[first + i] - along_x * sin[first + i]
-            param = (sin[first + i] * x - cos[first + i] * y) / across
-            params[i] = max(param, start) if across * sweep > 0 else FAR
-        count = until
-        if params[count - 1] >= reach:
-            break
-    return index, sweep, count
+    total = (cells + 1) // 2  # faces half a turn apart are in one plane, which a ray crosses once
+    for i in range(total):
+        across = along_y * cos[first + i] - along_x * sin[first + i]
+        param = (sin[first + i] * x - cos[first + i] * y) / across
+        # all faces are ahead of the first sector: one before the start is so by rounding; a plane's far half is no face
+        params[i] = max(param, start) if across * sweep > 0 else FAR
+        if params[i] >= reach:
+            return index, sweep, i + 1
+    return index, sweep, total
 
 
 @compiled
@@ -124,21 +113,23 @@ def merge(first, second, place, sizes, start, leave, cells, ends):
     (params, number, down), (others, other_number, step) = first, second
     row, column = place
     rows, columns = sizes
-    params[number] = others[other_number] = FAR
+    params[number] = others[other_number] = FAR  # never before `leave`: no list needs a test for its end
     i, j, count = 0, 0, 0
     last = ends[0] = start
     while last < leave:
-        take = params[i] <= others[j]
+        take = params[i] <= others[j]  # either order of equal ones: the column between them has no length
         param = min(max(params[i] if take else others[j], last), leave)
         inside = (param - last > TOUCH_M) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         cells[count] = row * columns + column if inside else -1
         count += 1
         last = ends[count] = param
-        row += (1 if i >= down else -1) if take else 0
-        column += 0 if take else step
-        column += columns if column < 0 else (-columns if column >= columns else 0)
-        i += take
-        j += not take
+        if take:
+            row += 1 if i >= down else -1  # rings shrink until the closest approach, then they grow
+            i += 1
+        else:
+            column += step
+            column += columns if column < 0 else (-columns if column >= columns else 0)
+            j += 1
     return count
 
 
@@ -151,7 +142,7 @@ def clip_round(x, y, along_x, along_y, radius):
         return (-FAR, FAR) if x * x + y * y < radius * radius else (FAR, -FAR)
     nearest = -(x * along_x + y * along_y) / speed2
     miss2 = (x * along_y - y * along_x) ** 2 / speed2
-    if not miss2 < radius * radius:
+    if not miss2 < radius * radius:  # a nan misses
         return FAR, -FAR
     offset = sqrt((radius * radius - miss2) / speed2)
     return nearest - offset, nearest + offset
@@ -169,12 +160,16 @@ def clip_flat(origin, along, low, high):
 
 @compiled
 @no_type_check
-def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
-    """Find the columns along one azimuth within `span`, where the fan is in the grid; return their number.
+def columns_of(group, rays, grid, scratch, cells, ends):
+    """Find the columns along one azimuth, counted over all fans; return their number.
 
-    `bounds` (2, 2) and `sizes` are ends and cells of the horizontal axes, `faces` those of `sector_faces`, empty for a
-    cuboid, `scratch` (2, longest + 1) working memory; the outputs are those of `merge`.
+    Only those count in which some ray of the fan is inside the grid. `scratch` (2, longest + 1) is working memory; the
+    outputs are those of `merge`.
     """
+    origins, azimuths, spans = rays[0], rays[1], rays[5]
+    _, bounds, sizes, faces = grid  # ends and cells of the horizontal axes; `sector_faces`, empty for a cuboid
+    fan, azimuth = group // azimuths.shape[1], group % azimuths.shape[1]
+    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], azimuths[fan, azimuth, 0], azimuths[fan, azimuth, 1]
     size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
     if faces.size:
         enter, leave = clip_round(x, y, along_x, along_y, bounds[0, 1])
@@ -182,20 +177,28 @@ def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, ce
         one = clip_flat(x, along_x, bounds[0, 0], bounds[0, 1])
         other = clip_flat(y, along_y, bounds[1, 0], bounds[1, 1])
         enter, leave = max(one[0], other[0]), min(one[1], other[1])
-    start, leave = max(enter, span[0], 0.0), min(leave, span[1], FAR)
-    if not leave > start + TOUCH_M:
+    start, leave = max(enter, spans[fan, 0], 0.0), min(leave, spans[fan, 1], FAR)
+    if not leave > start + TOUCH_M:  # a nan misses
         ends[0] = 0.0
         return 0
     if faces.size:
-        row, down, number = ring_params(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
-        column, step, others = sector_params(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
+        row, down, number = ring_params(
+            x, y, along_x, along_y, start, leave, low=bounds[0, 0], size=size, cells=sizes[0], params=scratch[0]
+        )
+        column, step, others = sector_params(
+            x, y, along_x, along_y, start, leave, cells=sizes[1], faces=faces, params=scratch[1]
+        )
     else:
-        row, step, number = plane_params(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        row, step, number = plane_params(
+            x, along_x, start, leave, bounds[0, 0], size, cells=sizes[0], params=scratch[0]
+        )
         down = number if step < 0 else 0
         size = (bounds[1, 1] - bounds[1, 0]) / sizes[1]
-        column, step, others = plane_params(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
+        column, step, others = plane_params(
+            y, along_y, start, leave, bounds[1, 0], size, cells=sizes[1], params=scratch[1]
+        )
     first, second = (scratch[0], number, down), (scratch[1], others, step)
-    return merge(first, second, (row, column), sizes, start, leave, cells, ends)
+    return merge(first, second, (row, column), sizes, start, leave, cells=cells, ends=ends)
 
 
 @compiled
@@ -220,6 +223,7 @@ def first_hit(height, slope, edges, ends, count, bits):
     if slope == 0:
         level, enter, leave = np.searchsorted(edges, height, side="right") - 1, -FAR, FAR
     else:
+        # one level early, as the place is rounded; a level that the ray has left by then holds no column
         place = floor((height + ends[0] * slope - edges[0]) / (edges[levels] - edges[0]) * levels) - step
         level = min(max(place, 0), levels - 1)
         enter, leave = (edges[level + 1 - ahead] - height) / slope, (edges[level + ahead] - height) / slope
@@ -227,13 +231,14 @@ def first_hit(height, slope, edges, ends, count, bits):
     while 0 <= level < levels:
         while column < count and ends[column + 1] < enter + TOUCH_M:
             column += 1
-        limit, bit = leave - TOUCH_M, 1 << level
+        limit, bit = leave - TOUCH_M, 1 << level  # cells crossed over less than `TOUCH_M` do not count
         while ends[column] < limit:
             if bits[column] & bit:
                 return (column if column < count else -1), level
             column += 1
+        # the last column may reach into the next level
         level, column = level + step, max(column - 1, 0)
-        if leave == FAR:
+        if leave == FAR:  # a level ray
             break
         enter, leave = leave, (edges[level + ahead] - height) / slope
     return -1, 0
@@ -254,7 +259,7 @@ def find_turns(height, slope, edges, ends, count, turns):
         return
     for edge in range(levels + 1):
         param = (edges[edge if slope > 0 else levels - edge] - height) / slope
-        while column < count and ends[column] < param - TOUCH_M:
+        while column < count and ends[column] < param - TOUCH_M:  # the tolerances are those of `first_hit`
             column += 1
         turns[edge] = 2 * column + (column > 0 and ends[column] >= param + TOUCH_M)
 
@@ -282,6 +287,7 @@ def known_hit(group, elevation, begin, rising, turns, hits):
     for edge in range(begin, levels):
         level = edge if rising else levels - 1 - edge
         after = np.int64(turns[group, elevation, edge + 1])
+        # from the column in which the ray comes into the level, to that in which it leaves it
         hit = hits[(turn >> 1) - (turn & 1), level]
         if hit < after >> 1:
             return hit, level
@@ -306,17 +312,6 @@ def exit_param(height, slope, bottom, top, begin, end):
     enter, leave = clip_flat(height, slope, bottom, top)
     leave = min(end, leave)
     return leave if leave > max(begin, enter) + TOUCH_M else np.inf
-
-
-@compiled
-@no_type_check
-def columns_of(group, rays, grid, scratch, cells, ends):
-    """Find the columns along one azimuth, counted over all fans; return their number."""
-    origins, azimuths, spans = rays[0], rays[1], rays[5]
-    _, bounds, sizes, faces = grid
-    fan, azimuth = group // azimuths.shape[1], group % azimuths.shape[1]
-    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], azimuths[fan, azimuth, 0], azimuths[fan, azimuth, 1]
-    return find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
 
 
 @compiled

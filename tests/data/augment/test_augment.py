@@ -7,7 +7,7 @@ import torch
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.data import Augment
-from omniocc.data.augment.flip_and_turn import Change, change_poses, change_scenes, possible_turns
+from omniocc.data.augment.augment import Change, change_poses, change_scenes, possible_turns
 from omniocc.data.augment.image import erase, jitter
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.temporal import Mean

@@ -18,8 +18,8 @@ class CellLabels(LazyLabels):
 
     COUNTED = 4
 
-    def __init__(self, folder, unknown):
-        super().__init__(folder, "fingerprint", ONE_CELL, 2, unknown)
+    def __init__(self, folder, ignore):
+        super().__init__(folder, "fingerprint", ONE_CELL, 2, ignore)
         self.frames: list[tuple[str, int]] = []
 
     def read(self, scene, frame):
@@ -52,6 +52,6 @@ def test_the_counted_frames_are_spread_over_all_scenes(tmp_path):
 
 @pytest.mark.parametrize("first", ["none", "unobserved"])
 def test_counts_are_kept_apart_by_what_unobserved_cells_are(tmp_path, first):
-    for unknown in (first, {"none": "unobserved", "unobserved": "none"}[first]):
-        counts = CellLabels(tmp_path, unknown).counts(SCENES)
+    for ignore in (first, {"none": "unobserved", "unobserved": "none"}[first]):
+        counts = CellLabels(tmp_path, ignore).counts(SCENES)
         assert counts.flatten().tolist() == ([3, 0] if ignore == "none" else [0, 0])

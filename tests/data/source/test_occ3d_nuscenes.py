@@ -113,7 +113,7 @@ def test_lidarseg_gives_classes_of_pixels_and_rays(root):
 def test_masks_make_cells_unknown_or_not_scored(root):
     source = source_of(root)
     scene = source.scenes("train")[0]
-    free, unobserved, unseen = (scene.own_voxels(0, unknown) for unknown in ("none", "unobserved", "unseen"))
+    free, unobserved, unseen = (scene.own_voxels(0, ignore) for ignore in ("none", "unobserved", "unseen"))
     raw, observed = voxels()
     assert torch.equal(free, torch.from_numpy(from_file(raw)))
     assert np.array_equal(to_file(free.numpy()), raw)

@@ -168,8 +168,8 @@ def test_masks_of_a_rig_file_replace_the_recorded_ones(root, tmp_path):
     masked = Recorded(str(root), PATTERNS, masks=str(tmp_path / "masked.yaml"))
     assert masked.fingerprint != plain.fingerprint
     assert masked.folder == plain.folder
-    for unknown, same in (("none", True), ("unobserved", False)):  # what a camera does not show, it does not observe
-        assert (masked.labels(GRID, unknown).folder == plain.labels(GRID, unknown).folder) == same
+    for ignore, same in (("none", True), ("unobserved", False)):  # what a camera does not show, it does not observe
+        assert (masked.labels(GRID, ignore).folder == plain.labels(GRID, ignore).folder) == same
     assert Recorded(str(root), PATTERNS, panorama=(32, 16, 30.0, -30.0)).fingerprint != plain.fingerprint
     for one in pickle.loads(pickle.dumps(masked.scenes("test")[0])).rigs:  # loader processes get copies
         assert all(torch.equal(mask, pixels) for mask in one.masks)

@@ -14,8 +14,7 @@ from omniocc.camera.protocol import finite
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data import SceneReader
 from omniocc.data.source.recorded import spec_of
-from omniocc.data.store.codec import encode_lidar, encode_range
-from omniocc.data.store.raster import pack
+from omniocc.data.store.codec import encode_lidar, encode_range, pack
 from omniocc.data.store.shard import INDEX
 from omniocc.errors import DataError
 

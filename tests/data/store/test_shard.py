@@ -1,11 +1,15 @@
 import subprocess
 import tarfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from omniocc import io
+from omniocc.data.store import shard
+from omniocc.data.store.files import list_folders
 from omniocc.data.store.reader import SceneReader
-from omniocc.data.store.shard import JOURNAL, SceneWriter
+from omniocc.data.store.shard import INDEX, META, SceneWriter
 from omniocc.errors import DataError
 
 LIMIT = 40_000
@@ -53,33 +57,20 @@ def test_shards_are_valid_tar_files_below_the_limit(tmp_path):
 
 
 @pytest.mark.parametrize("whole", range(7))
-@pytest.mark.parametrize("torn", ["", "tar", "journal"])
-def test_interrupted_after_any_frame_ends_with_the_same_bytes(tmp_path, whole, torn):
+def test_interrupted_after_any_frame_is_made_again_with_the_same_bytes(tmp_path, whole):
     write(tmp_path / "reference")
-    (tmp_path / "other").mkdir()
-    writer = write(tmp_path / "other" / "reference", range(whole), finish=False)
-    if torn == "tar":  # killed while the frame was being written
-        with (writer.work / f"frames-{(whole > 3) * 1:03d}.tar").open("ab") as file:
-            file.write(b"half a frame" * 100)
-    if torn == "journal":
-        with (writer.work / JOURNAL).open("ab") as file:
-            file.write(b'00000000 {"shard": 0, "en')
-    resumed = SceneWriter(tmp_path / "other" / "reference", LIMIT)
-    assert resumed.num_frames == whole
-    write(tmp_path / "other" / "reference", range(whole, 6))
-    assert content(tmp_path / "other" / "reference") == content(tmp_path / "reference")
+    target = tmp_path / "other" / "reference"
+    writer = write(target, range(whole), finish=False)
+    with (writer.work / f"frames-{(whole > 3) * 1:03d}.tar").open("ab") as file:  # killed within the next frame
+        file.write(b"half a frame" * 100)
+    assert list_folders(target.parent, META) == []
+    assert not SceneWriter(target, LIMIT).finished
+    write(target)
+    assert content(target) == content(tmp_path / "reference")
+    assert not writer.work.exists()
 
 
-def test_a_frame_that_never_reached_the_disk_is_written_again(tmp_path):
-    writer = write(tmp_path / "scene", range(3), finish=False)
-    shard = writer.work / "frames-000.tar"
-    raw = bytearray(shard.read_bytes())
-    raw[-3000] ^= 1  # in the last frame: journalled, but its block was lost by a power cut
-    shard.write_bytes(raw)
-    assert SceneWriter(tmp_path / "scene", LIMIT).num_frames == 2
-
-
-@pytest.mark.parametrize("moment", ["index", "meta", "rename"])
+@pytest.mark.parametrize("moment", ["index.json", "meta.json", "rename"])
 def test_killed_while_sealing(tmp_path, moment, monkeypatch):
     write(tmp_path / "reference")
     target = tmp_path / "other" / "reference"
@@ -89,23 +80,23 @@ def test_killed_while_sealing(tmp_path, moment, monkeypatch):
 
     with monkeypatch.context() as patch:
         if moment == "rename":
-            patch.setattr(SceneWriter, "_publish", killed)
+            patch.setattr(Path, "rename", killed)
         else:
-            real = __import__("omniocc.data.store.shard", fromlist=["atomic_write"]).atomic_write
-            name = f"{moment}.json"
-            patch.setattr(
-                "omniocc.data.store.shard.atomic_write", lambda p, c: killed() if p.name == name else real(p, c)
-            )
+            patch.setattr(shard, "atomic_write", lambda p, c: killed() if p.name == moment else io.atomic_write(p, c))
         with pytest.raises(KeyboardInterrupt):
             write(target)
-    assert not target.exists()
-    writer = SceneWriter(target, LIMIT)
-    if moment == "rename":
-        assert writer.finished
-    else:
-        assert writer.num_frames == 6
-        writer.finish({"seed": 5})
+    assert list_folders(target.parent, INDEX) == list_folders(target.parent, META) == []
+    assert not SceneWriter(target, LIMIT).finished
+    write(target)
     assert content(target) == content(tmp_path / "reference")
+
+
+def test_a_finished_scene_is_left_alone(tmp_path):
+    write(tmp_path / "scene")
+    before = content(tmp_path / "scene")
+    assert SceneWriter(tmp_path / "scene", LIMIT).finished
+    assert content(tmp_path / "scene") == before
+    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
 
 
 def damaged_read(folder, frame, member="b.bin"):
@@ -156,20 +147,17 @@ def test_damaged_descriptions_are_named(tmp_path, name, harm):
     assert str(path) in damaged_read(tmp_path / "scene", 0)
 
 
-def test_a_full_disk_is_one_clear_error_and_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch):
     write(tmp_path / "reference")
     target = tmp_path / "other" / "reference"
-    writer = write(target, range(2), finish=False)
 
     def full(file, chunk):
         file.write(chunk[: len(chunk) // 2])
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("omniocc.data.store.shard._write_all", full)
-        writer = SceneWriter(target, LIMIT)
+        patch.setattr(shard, "_write_all", full)
         with pytest.raises(DataError, match=r"write .*reference.*full"):
-            writer.append(blobs(2), {})
-    assert SceneWriter(target, LIMIT).num_frames == 2
-    write(target, range(2, 6))
+            write(target)
+    write(target)
     assert content(target) == content(tmp_path / "reference")

@@ -16,7 +16,7 @@ from omniocc.config import build, check
 from omniocc.data import SceneReader
 from omniocc.data.source.recorded import spec_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 START_NS = 1_700_000_000_123_456_789
 EGO_FROM_LIDAR = np.array([[0.0, -1, 0, 0.5], [1, 0, 0, -0.25], [0, 0, 1, 0.75], [0, 0, 0, 1]])

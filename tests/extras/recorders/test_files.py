@@ -17,15 +17,15 @@ from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
 from omniocc.data import DataError, SceneReader
 from omniocc.data.formats.poses import shift
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
-from omniocc.data.labels.observed import observed
-from omniocc.data.labels.voxels import vote
+from omniocc.data.labels.voxels import observed, vote
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.check import check_scene
 from omniocc.data.store.codec import decode_frame
+from omniocc.data.store.files import list_folders
 from omniocc.errors import UserError
 from omniocc.extras.recorders.labels import read_point_classes
 from omniocc.extras.recorders.log import Log, Scans, Timing, plan_frames
-from omniocc.extras.recorders.log_scene import origin_lines, read_frame
+from omniocc.extras.recorders.log_scene import origin_lines
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
 
@@ -167,29 +167,22 @@ def test_a_corrected_calibration_is_not_taken_for_the_old_one(recorder, original
         recorder(*changed).record(tmp_path)
 
 
-def test_after_a_damaged_file_only_the_missing_frames_are_made(recorder, original, log_folder, tmp_path, monkeypatch):
+def test_after_a_damaged_file_the_same_command_makes_the_scene(recorder, original, log_folder, tmp_path):
     log = shutil.copytree(log_folder, tmp_path / "log")
     last = sorted((log / original.rig.names[0]).iterdir())[-1]
     whole = last.read_bytes()
     last.write_bytes(bytes(len(whole)))
-    with pytest.raises(DataError, match=f"{last.name}: the file is no image"):
-        recorder(log=log).record(tmp_path)
+    for option in ("limit_s=0.02", "limit_s=0.03"):
+        with pytest.raises(DataError, match=f"{last.name}: the file is no image"):
+            recorder(option, log=log).record(tmp_path)
+    assert list_folders(tmp_path, "meta.json") == []
     last.write_bytes(whole)
-    read = []
-    monkeypatch.setattr(
-        "omniocc.extras.recorders.log_scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
-    )
-    scene = SceneReader(recorder(log=log).record(tmp_path)[0])
-    assert read == [len(original) - 1]
-    assert len(scene) == len(original)
-    assert sorted(path.name for path in scene.folder.iterdir() if path.suffix == ".tmp") == []
-    last.write_bytes(bytes(len(whole)))
-    with pytest.raises(DataError, match="no image"):
-        recorder("limit_s=0.02", log=log, name="val-000").record(tmp_path)
-    last.write_bytes(whole)
-    read.clear()
-    recorder(log=log, name="val-000").record(tmp_path)  # of other options: from the first frame on
-    assert len(read) == len(original)
+    (folder,) = recorder(log=log).record(tmp_path)  # of other options than what is left of it
+    (fresh,) = recorder(log=log).record(tmp_path / "fresh")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
+        path.name: path.read_bytes() for path in fresh.iterdir()
+    }
+    assert not list(tmp_path.glob("*.partial"))
 
 
 def test_a_wrong_unit_and_a_name_without_a_split_are_said(recorder, tmp_path, capsys):
@@ -270,7 +263,7 @@ def test_times_from_a_table(recorder, original, log_folder, tmp_path):
         recorder("times=times.csv", log=log).record(tmp_path / "other")
 
 
-def test_a_stop_while_files_are_hashed_loses_no_frame(recorder, original, log_folder, tmp_path, monkeypatch):
+def test_a_stop_before_the_name_is_given_leaves_no_scene(recorder, original, tmp_path, monkeypatch):
     def stopped(*given):
         raise KeyboardInterrupt
 
@@ -278,12 +271,8 @@ def test_a_stop_while_files_are_hashed_loses_no_frame(recorder, original, log_fo
         patch.setattr("omniocc.extras.recorders.log_scene.finish_scene", stopped)
         with pytest.raises(KeyboardInterrupt):
             recorder().record(tmp_path)
-    read = []
-    monkeypatch.setattr(
-        "omniocc.extras.recorders.log_scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given)
-    )
+    assert list_folders(tmp_path, "frames-000.tar") == []
     (folder,) = recorder().record(tmp_path)
-    assert read == []
     assert len(SceneReader(folder)) == len(original)
 
 

@@ -43,7 +43,7 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     cfg, data = data_of(smoke, tmp_path, classes=2)
     data.prepare_data()
     assert "no classes of pixels" in str(without_unused_head(Parts(cfg), data.source.scenes("train"))[1])
-    data.read_only(data.needs["train"]._replace(panorama=True, camera_ranges=True), data.needs["test"])
+    data.set_needs(data.needs["train"]._replace(panorama=True, camera_ranges=True), data.needs["test"])
     data.setup()
     batch = next(iter(data.train_dataloader()))
     assert batch.erp_range_m.shape[1:] == (12, 48)  # of the preset; 180x720 px were recorded
@@ -71,7 +71,7 @@ def test_a_page_of_scenes_without_labels(original, recorder, tmp_path):
     """The page shows what there is; facts of the virtual world are of its own scenes."""
     from omniocc.classes import WORLD_CLASSES
     from omniocc.geometry import Cylinder
-    from omniworld.report.page import _frame
+    from omniworld.page import _frame
 
     scene = SceneReader(recorder().record(tmp_path)[0])
     drawn = _frame(scene, 0, Cylinder(), WORLD_CLASSES)

@@ -7,7 +7,7 @@ import torch
 from transformers import ConvNextBackbone, ConvNextConfig
 
 from omniocc.model.backbone import Transformers
-from omniocc.model.ops.backbone import pretrained
+from omniocc.model.ops import backbone as pretrained
 
 CONVNEXT = {"depths": [1, 1, 1, 1], "hidden_sizes": [4, 8, 8, 16]}
 SWIN = {"embed_dim": 8, "depths": [1, 1, 1, 1], "num_heads": [1, 2, 2, 4], "window_size": 4}

@@ -6,8 +6,8 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Cuboid
+from omniocc.model.depth.mono import camera_rays
 from omniocc.model.lifter.lift_splat import find_entries
-from omniocc.model.ops.depth.zbuffer import camera_rays
 from omniocc.model.ops.padded import ImageShape, by_shape, crop, grouped, image_shape, in_batch_order
 from omniocc.model.ops.visible import reference_points
 

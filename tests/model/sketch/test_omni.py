@@ -7,7 +7,7 @@ from torch import nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.ops.sketch.points import pseudo_points
+from omniocc.model.ops.sketch import pseudo_points
 from omniocc.model.sketch import Dense, Omni, Random, Sketch, learns
 from omniocc.model.sketch.omni import likeliest, occupancy
 
@@ -253,7 +253,7 @@ def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
     assert float((evidence[:, 0] - expected).detach().abs().max()) <= 0.1 + 1e-5
     hit = sketch.points(pseudo_points(range_m, valid, PANORAMA))[1][:, 0] > 0
     assert torch.equal(evidence[:, 1].bool(), hit)
-    known, _, gap, _ = sketch.evidence(range_m, valid).unbind(1)
+    known, _, gap, _ = sketch.range_gaps(range_m, valid).unbind(1)
     assert torch.equal(evidence[:, 2].bool(), ~hit & (known > 0) & (gap > 0))
     assert torch.equal(evidence[:, 3].bool(), ~hit & (known > 0) & (gap <= 0))
     assert evidence[:, 1:].sum((0, 2, 3, 4)).min() > 0

@@ -3,12 +3,10 @@
 import numpy as np
 
 from omniworld.assets.building import STOREY_M
+from omniworld.render.capture import Shading
 from omniworld.render.caster import Hits
-from omniworld.render.lamp import CELL_M, SIDE
-from omniworld.render.light import Light
-from omniworld.render.shade import Shading
-from omniworld.render.shadow import Shadows
-from omniworld.render.sky import CLOUDS_PX, cloud_pattern
+from omniworld.render.light import CLOUDS_PX, LAMP_CELL_M, LAMP_CELLS, Light, cloud_pattern
+from omniworld.render.snapshot import Shadows
 from omniworld.render.surface import (
     COLOR,
     EMITTED,
@@ -50,7 +48,9 @@ def shade(
     cosine = np.abs(cosine)
     sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
-    color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
+    color[:, ground] = _surface_color(
+        some, points, toward, attributes, cosine, sunlight, light=light, pixel_rad=pixel_rad
+    )
     sunny, open_fraction = sunlight
     offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_fraction is None else open_fraction > 0.9
     return Shading(color, offset_m, lit)
@@ -148,8 +148,10 @@ def lamp_light(
     window = (attributes[GLAZED] > 0) & (tint < 0.02) & (added[0] > 0.1)
     shining += (added * _WARM[:, None]) * (np.float32(2.2) * window)
     if light.pools is not None:
-        row, column = (np.floor(axis * np.float32(1 / CELL_M)).astype(np.int32) & (SIDE - 1) for axis in points[:2])
-        pool = light.pools[row * SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[UP], 0))
+        row, column = (
+            np.floor(axis * np.float32(1 / LAMP_CELL_M)).astype(np.int32) & (LAMP_CELLS - 1) for axis in points[:2]
+        )
+        pool = light.pools[row * LAMP_CELLS + column] * (0.25 + 0.75 * np.maximum(attributes[UP], 0))
         shining += base * (0.9 * _WARM[:, None] * pool)
     return shining * np.float32(light.lamps)
 

@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from omniworld.render.caster import Caster, Hits, Layers
+from omniworld.render.caster import Caster, Hits, Layers, library
 
 _DOWN = np.array([[0, 0, -1]], np.float32)
 
@@ -81,14 +81,12 @@ def test_an_empty_mesh_is_never_hit(street):
 
 
 def test_missing_embree_is_one_clear_error(monkeypatch, street):
-    from omniworld.render import embree
-
     monkeypatch.setitem(sys.modules, "embreex", None)
-    embree.library.cache_clear()
+    library.cache_clear()
     with pytest.raises(ImportError, match=r"package 'embreex'.*platform"):
         Caster(street)
     monkeypatch.undo()
-    embree.library.cache_clear()
+    library.cache_clear()
     Caster(street)
 
 

@@ -4,7 +4,7 @@ import pytest
 from omniworld.mesh.mesh import concatenate, empty
 from omniworld.render.caster import Caster
 from omniworld.render.cull import ShadowMask, make_cones, may_hit, spheres_of
-from omniworld.render.shadow import Shadows
+from omniworld.render.snapshot import Shadows
 from omniworld.render.view import make_view
 
 

@@ -7,10 +7,9 @@ from plain_shading import shade as shade_plainly
 
 from omniworld.mesh.material import Material
 from omniworld.mesh.mesh import concatenate, empty
+from omniworld.render.capture import develop, shade
 from omniworld.render.caster import no_hits
-from omniworld.render.exposure import develop
-from omniworld.render.lamp import lamp_pools
-from omniworld.render.shade import shade
+from omniworld.render.light import lamp_pools
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor
 
 
@@ -25,7 +24,9 @@ def test_shadow_is_darker_than_sun_by_the_ratio_of_the_light(snapshot, noon):
     directions = (directions / np.linalg.norm(directions, axis=0)).astype(np.float32)
     hits = snapshot.cast(np.zeros(3), directions)
     assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
-    shaded = shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, noon, 1e6)
+    shaded = shade(
+        hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, noon, pixel_rad=1e6
+    )
     assert shaded.lit.tolist() == [False, True]
     dark, bright = shaded.color.T
     dim = ambient(noon, np.float32([1.0]))[:, 0]
@@ -41,7 +42,13 @@ def test_ego_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street
     hits = snapshot.cast(np.zeros(3), directions)
     assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
     shaded = shade(
-        hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, snapshot.light, 0.01
+        hits,
+        snapshot.world_point(np.zeros(3)),
+        directions,
+        snapshot.surfaces,
+        snapshot.shadows,
+        snapshot.light,
+        pixel_rad=0.01,
     )
     assert shaded.lit.tolist() == [False, True]
 
@@ -77,7 +84,7 @@ def test_sky_is_brightest_at_the_sun_and_has_clouds(snapshot):
 
     def sky_color(toward):
         nothing = no_hits(toward.shape[1])
-        return shade(nothing, np.zeros(3), toward, snapshot.surfaces, snapshot.shadows, light, 0.01).color
+        return shade(nothing, np.zeros(3), toward, snapshot.surfaces, snapshot.shadows, light, pixel_rad=0.01).color
 
     sky = sky_color(directions)
     assert np.isfinite(sky).all()

@@ -5,9 +5,8 @@ import pytest
 
 from omniworld.mesh.material import Material
 from omniworld.mesh.mesh import concatenate, empty
-from omniworld.render.lamp import lamp_pools
-from omniworld.render.rain import streaks
-from omniworld.render.shade import shade
+from omniworld.render.capture import shade, streaks
+from omniworld.render.light import lamp_pools
 from omniworld.render.surface import lamp_strength
 from omniworld.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
@@ -16,7 +15,9 @@ def _colors(snapshot, directions, light):
     directions = np.array(directions, np.float32).T
     directions /= np.linalg.norm(directions, axis=0)
     hits = snapshot.cast(np.zeros(3), directions)
-    return shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, light, 0.01)
+    return shade(
+        hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, light, pixel_rad=0.01
+    )
 
 
 def test_every_weather_is_drawn_and_clear_is_most_common():
@@ -75,7 +76,9 @@ def test_under_a_grey_sky_it_is_dark_below_cars(snapshot_of, street, ego_car, bo
     directions = np.array([[0.05, 0.0, -1.0]], np.float32).T
     directions /= np.linalg.norm(directions)
     dark, bright = (
-        shade(s.cast(eye, directions), s.world_point(eye), directions, s.surfaces, s.shadows, light, 0.01).color.mean()
+        shade(
+            s.cast(eye, directions), s.world_point(eye), directions, s.surfaces, s.shadows, light, pixel_rad=0.01
+        ).color.mean()
         for s in (with_car, without)
     )
     assert dark < 0.5 * bright

@@ -4,7 +4,7 @@ import pytest
 from omniocc.camera import Rig
 from omniworld import Scene
 from omniworld.mesh.label import PEDESTRIAN, VEHICLE
-from omniworld.render.lamp import CELL_M, SIDE
+from omniworld.render.light import LAMP_CELL_M, LAMP_CELLS
 from omniworld.traffic.traffic import Actor
 from omniworld.variations.night import BASE, BRIGHTNESS, REACH_M, NightScene, headlights, with_beams
 
@@ -53,12 +53,14 @@ def test_cars_have_headlights_where_they_look():
 
 def light_at(pools, x_m, y_m):
     """Return the light at a place, looked up as the kernel does."""
-    return pools.reshape(SIDE, SIDE)[int(np.floor(x_m / CELL_M)) % SIDE, int(np.floor(y_m / CELL_M)) % SIDE]
+    return pools.reshape(LAMP_CELLS, LAMP_CELLS)[
+        int(np.floor(x_m / LAMP_CELL_M)) % LAMP_CELLS, int(np.floor(y_m / LAMP_CELL_M)) % LAMP_CELLS
+    ]
 
 
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.5])
 def test_beams_lie_ahead_of_the_car_and_nowhere_else(yaw_rad):
-    dark = np.zeros(SIDE * SIDE, np.float32)
+    dark = np.zeros(LAMP_CELLS * LAMP_CELLS, np.float32)
     place, ahead = headlights(actor(yaw_rad=yaw_rad))
     pools = with_beams(dark, [(place, ahead)])
     aside = np.array([-ahead[1], ahead[0]])
@@ -70,6 +72,6 @@ def test_beams_lie_ahead_of_the_car_and_nowhere_else(yaw_rad):
 
 
 def test_beams_never_darken_a_lamp():
-    lamps = np.full(SIDE * SIDE, 0.5, np.float32)
+    lamps = np.full(LAMP_CELLS * LAMP_CELLS, 0.5, np.float32)
     assert with_beams(lamps, [headlights(actor())[:2]]).min() == 0.5
     assert lamps.max() == 0.5  # the scene's own map is left alone

@@ -4,8 +4,7 @@ import torch
 from omniocc.geometry import Cuboid, Cylinder, RayScan, ray_table
 from omniocc.metric import sparseocc_directions
 from rayiou.raycast.fans import RayFans
-from rayiou.raycast.table import RayTable
-from rayiou.raycast.tensor_table import TensorTable
+from rayiou.raycast.table import RayTable, TensorTable
 
 GRIDS = [
     Cylinder(shape=(24, 30, 6), radius_m=(0.0, 14.0), height_m=(-2.0, 3.0)),

@@ -7,7 +7,7 @@ import pytest
 
 from omniocc.camera import Rig
 from omniocc.report.datasets import own_row
-from omniworld.report.facts import frame_at, pinhole_twin, speed_mps, time_of_day
+from omniworld.page import frame_at, pinhole_twin, speed_mps, time_of_day
 from omniworld.source import ScenePlan
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data"))

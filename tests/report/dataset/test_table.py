@@ -16,7 +16,7 @@ from omniocc.report.datasets import (
     with_records,
 )
 from omniocc.report.runs import read_runs
-from omniworld.report.facts import OTHER_DATASETS
+from omniworld.page import OTHER_DATASETS
 
 PATH = Path(__file__).parents[3] / "sweeps" / "dataset.yaml"
 

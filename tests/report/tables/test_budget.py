@@ -42,8 +42,18 @@ def test_what_a_run_did_not_record_is_a_dash():
     first, second = run(0, {}, **{"minutes of training": 7.0}), run(1, {}, **cost(8.0, 1000.0))
     assert budget_cells({"bevdet": [first]}, {})[1][0][1:3] == ["–", "–"]
     assert budget_cells({"bevdet": [first, second]}, {})[1][0] == [
-        "bevdet", "1.15", "16.7", "–", "–", "1000", "1000", "2", "7.5", "7.5", "1000",
-    ]  # fmt: skip
+        "bevdet",
+        "1.15",
+        "16.7",
+        "–",
+        "–",
+        "1000",
+        "1000",
+        "2",
+        "7.5",
+        "7.5",
+        "1000",
+    ]
     assert budget_cells({"mine": [FinishedRun("mine-00000000", {}, {})]}, {})[1] == [["mine", *["–"] * 10]]
 
 

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy import stats
 
@@ -12,6 +13,7 @@ from omniocc.report.tables.claims import (
     Judged,
     Rows,
     claims_of,
+    error_over_streets,
     metric_of,
     names_in,
     pairs_of,
@@ -51,8 +53,10 @@ def test_claimed_are_the_best_over_all_others_and_what_the_table_adds():
     assert titles(SKETCH) == [("ours", other) for other in ("wo_dilation", "mono", "dense", "random")]
     second = "voxformer_pinhole@1000"
     assert titles(COMPARISON) == [
-        *(("ours", other) for other in ("bevdet", "bevformer", second)), (second, "bevdet"), (second, "bevformer"),
-    ]  # fmt: skip
+        *(("ours", other) for other in ("bevdet", "bevformer", second)),
+        (second, "bevdet"),
+        (second, "bevformer"),
+    ]
     assert titles(load_table(SWEEPS / "beyond.yaml")) == []
 
 
@@ -132,9 +136,11 @@ def test_with_one_seed_nothing_is_decided():
 def test_the_family_has_every_claim_of_all_tables_once():
     """`comparison` and a copy of it have the same five claims, `sketch` has four, of which some have not run."""
     runs = {
-        "ours": row("ours", 0.30, 0.31, lidar=0.7), "voxformer_pinhole@1000": row("vox", 0.21, 0.23, lidar=0.7),
-        "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7), "dense": row("dense", 0.25, 0.24, lidar=0.7),
-    }  # fmt: skip
+        "ours": row("ours", 0.30, 0.31, lidar=0.7),
+        "voxformer_pinhole@1000": row("vox", 0.21, 0.23, lidar=0.7),
+        "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7),
+        "dense": row("dense", 0.25, 0.24, lidar=0.7),
+    }
     tables = [COMPARISON, COMPARISON._replace(name="again"), SKETCH]
     found = verdicts_of(tables, runs)
     own = [entry for (*_, key), entry in found.items() if key == OWN]
@@ -267,3 +273,38 @@ def test_rows_of_other_steps_are_other_claims():
         "dense@1000",
         "dense@3000",
     }
+
+
+KEY, TRUE = "test/rayiou", 100
+
+
+def run(folder, name: str, shares: list[float]) -> FinishedRun:
+    """Return a run that finds a share of the rays of each street and predicts nothing wrong: its score is the mean."""
+    counted = {
+        f"street-{k}": {RAYS: [[0, TRUE], [0, round(TRUE * share)], [0, round(TRUE * share)]]}
+        for k, share in enumerate(shares)
+    }
+    save_scenes(folder / name, counted, {}, ("Free", "Road"), (1.0,))
+    return FinishedRun(name, {}, {}, folder / name)
+
+
+def test_of_a_mean_over_streets_it_is_that_of_the_mean(tmp_path):
+    better, other = [0.5, 0.6, 0.9, 0.3, 0.7], [0.4, 0.6, 0.6, 0.2, 0.8]
+    found = error_over_streets([run(tmp_path, "a", better)], [run(tmp_path, "b", other)], KEY)
+    assert found == pytest.approx(stats.sem(np.subtract(better, other)))
+
+
+def test_seeds_of_a_row_are_averaged_street_by_street(tmp_path):
+    """One seed is good where the other is bad, so that the mean of both is the same in all streets."""
+    seeds = [run(tmp_path, "a-0", [0.2, 0.8, 0.4]), run(tmp_path, "a-1", [0.8, 0.2, 0.6])]
+    assert error_over_streets(seeds, [run(tmp_path, "b", [0.3, 0.3, 0.3])], KEY) == pytest.approx(0, abs=1e-6)
+
+
+def test_it_is_unknown_without_the_same_streets_or_for_other_metrics(tmp_path):
+    one, less = run(tmp_path, "a", [0.2, 0.8, 0.4]), run(tmp_path, "b", [0.2, 0.8])
+    for pair, key in (
+        (([one], [less]), KEY),
+        (([one], [FinishedRun("c", {}, {}, tmp_path)]), KEY),
+        (([one], [one]), "x"),
+    ):
+        assert math.isnan(error_over_streets(*pair, key))

@@ -1,13 +1,15 @@
 """Gaps between rows, and their standard errors over seeds."""
 
+import itertools
 import math
 import statistics
 
+import numpy as np
 import pytest
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.gaps import UNKNOWN, Gap, Gaps, change, gap_of_systems, paired_gap
+from omniocc.report.tables.gaps import UNKNOWN, Gap, Gaps, change, gap_of_systems, holm, paired_gap
 
 KEY = "test/rayiou"
 
@@ -138,3 +140,24 @@ def test_seeds_without_a_figure_are_left_out():
     assert gap_of_systems(ours, other, KEY)[:2] == pytest.approx((0.07, math.sqrt(0.0007 / 3 + 0.0018 / 2)))
     ours, other = row("a", 0.30, 0.36, math.nan), row("b", 0.20, 0.24, 0.5)
     assert Gaps({"a": ours, "b": other}, KEY).between("a", "b") == pytest.approx((0.11, 0.01, 1))
+
+
+def test_as_r_adjusts():
+    """`p.adjust(c(0.01, 0.02, 0.03, 0.04), "holm")` and `p.adjust(c(.03, .001, .9, .001, .2), "holm")` of R."""
+    assert holm([0.01, 0.02, 0.03, 0.04]) == pytest.approx([0.04, 0.06, 0.06, 0.06])
+    assert holm([0.03, 0.001, 0.9, 0.001, 0.2]) == pytest.approx([0.09, 0.005, 0.9, 0.005, 0.4])
+    assert holm([]) == []
+    assert holm([0.6, 0.7]) == [1.0, 1.0]
+    assert holm([0.01, np.nan, 0.02]) == pytest.approx([0.02, np.nan, 0.02], nan_ok=True)
+    assert holm([0.01, np.nan], tests=4) == pytest.approx([0.04, np.nan], nan_ok=True)
+
+
+def test_it_is_the_closed_test_of_bonferronis():
+    """A hypothesis is rejected if every set of hypotheses that has it is rejected by Bonferroni's smallest p-value."""
+    for p_values in np.random.default_rng(0).uniform(0, 0.4, (20, 5)):
+        sets = [chosen for size in range(1, 6) for chosen in itertools.combinations(range(5), size)]
+        closed = [
+            max(min(1.0, len(chosen) * min(p_values[j] for j in chosen)) for chosen in sets if k in chosen)
+            for k in range(5)
+        ]
+        assert holm(list(p_values)) == pytest.approx(closed)

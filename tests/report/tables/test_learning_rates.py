@@ -19,20 +19,26 @@ def run(name: str, rate: float, seed: int, score: float, layers: int = 1, data: 
 
 
 RUNS = [
-    run("ours_001", 0.001, 0, 0.30), run("ours_003", 0.003, 0, 0.36), run("ours_01", 0.01, 0, 0.35),
+    run("ours_001", 0.001, 0, 0.30),
+    run("ours_003", 0.003, 0, 0.36),
+    run("ours_01", 0.01, 0, 0.35),
     run("ours", 0.003, 1, 0.10),  # no other rate has this seed
-    run("bevdet_001", 0.001, 0, 0.10, layers=2), run("bevdet_01", 0.01, 0, 0.20, layers=2),
+    run("bevdet_001", 0.001, 0, 0.10, layers=2),
+    run("bevdet_01", 0.01, 0, 0.20, layers=2),
     run("mono", 0.003, 0, 0.26, layers=3),  # one rate
-    run("ours_far_003", 0.003, 0, 0.2, data="e"), run("ours_far_01", 0.01, 0, 0.2, data="e"),
-]  # fmt: skip
+    run("ours_far_003", 0.003, 0, 0.2, data="e"),
+    run("ours_far_01", 0.01, 0, 0.2, data="e"),
+]
 
 
 def test_systems_are_told_by_everything_but_the_rate():
     found = {tried.name: tried for tried in tried_rates(RUNS)}
     assert list(found) == ["bevdet", "ours", "ours_far"]
     assert {rate: [run.name for run in runs] for rate, runs in found["ours"].runs.items()} == {
-        0.001: ["ours_001-00000000"], 0.003: ["ours_003-00000000"], 0.01: ["ours_01-00000000"],
-    }  # fmt: skip
+        0.001: ["ours_001-00000000"],
+        0.003: ["ours_003-00000000"],
+        0.01: ["ours_01-00000000"],
+    }
     assert {name: tried.chosen for name, tried in found.items()} == {"bevdet": 0.01, "ours": 0.003, "ours_far": 0.003}
 
 

@@ -9,12 +9,12 @@ from omniocc.report.tables.formats import parts_text
 from omniocc.report.tables.robustness import (
     common_parts,
     comparable,
-    names_of,
     page_parts,
     part_cells,
     relative_cells,
     report_parts,
     robustness_csv,
+    system_names,
     verdict,
 )
 from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness
@@ -23,7 +23,7 @@ from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness
 def part(name, group, score, near):
     scores = {"rayiou": score, "rayiou_within_8.5m": near, "voxel/miou": score / 2}
     without = {key: [value - 0.01, value, value + 0.01] for key, value in scores.items()}
-    return PartScores(name, group, ["a", "b", "c"], 6, 12.0, scores, without)
+    return PartScores(name, group, ["a", "b", "c"], 6, 12.0, scores, without=without)
 
 
 def record(system, base, noise, views, setting="same"):
@@ -100,12 +100,12 @@ def test_systems_of_other_scenes_are_not_compared():
 
 def test_systems_of_one_row_are_told_apart():
     long = record("flashocc-87654321", 0.5, 0.4, {180: 0.4})
-    assert names_of([OTHER, long]) == ["flashocc-12345678", "flashocc-87654321"]
+    assert system_names([OTHER, long]) == ["flashocc-12345678", "flashocc-87654321"]
     alike = [one._replace(training="1000 steps, seed 0") for one in (OTHER, long)]
-    assert names_of(alike) == ["flashocc-12345678", "flashocc-87654321"]
+    assert system_names(alike) == ["flashocc-12345678", "flashocc-87654321"]
     group = [OURS, OTHER._replace(training="1000 steps, seed 0"), long._replace(training="10000 steps, seed 1")]
     names = ["ours", "flashocc, 1000 steps, seed 0", "flashocc, 10000 steps, seed 1"]
-    assert names_of(group) == relative_cells(group)[0][1:] == part_cells(group)[0][1:] == names
+    assert system_names(group) == relative_cells(group)[0][1:] == part_cells(group)[0][1:] == names
     assert verdict(group).startswith("flashocc, 10000 steps, seed 1 loses least: ")  # 20 and 20 %; 10 and 40; 5 and 70
     assert "flashocc, 1000 steps, seed 0: 3 scenes" in parts_text(report_parts(group))
 
@@ -144,7 +144,7 @@ def test_a_part_without_a_score_is_a_dash():
 
 def test_the_plot_has_a_bar_for_every_system_and_disturbance():
     pytest.importorskip("matplotlib")
-    from omniocc.report.plots.robustness import drops
+    from omniocc.report.plots import drops
 
     axes = drops([OURS, OTHER]).axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["noise_5_percent", "view_180_deg", "view_90_deg"]

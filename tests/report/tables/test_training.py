@@ -8,15 +8,14 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.docs import CURVES_IMAGE, write_docs
-from omniocc.report.plots.figures import learning_curves
+from omniocc.report.docs import CURVES_IMAGE, draw_curves, write_docs
+from omniocc.report.plots import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import training
 from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
-from omniocc.report.write import draw_curves
 from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
@@ -44,9 +43,10 @@ def runs(folder: Path, name: str, steps: int, *scores: float) -> list[FinishedRu
 def sweep(tmp_path) -> Sweep:
     """At 100 steps `ours` is behind the row without dilation, at 1,000 ahead; `dense` has no longer run."""
     rows = {
-        "ours": runs(tmp_path, "ours", 100, 0.20, 0.21), "dense": runs(tmp_path, "dense", 100, 0.15, 0.16),
+        "ours": runs(tmp_path, "ours", 100, 0.20, 0.21),
+        "dense": runs(tmp_path, "dense", 100, 0.15, 0.16),
         "wo_dilation": runs(tmp_path, "wo_dilation", 100, 0.30, 0.31),
-    }  # fmt: skip
+    }
     longer = {
         "ours": runs(tmp_path, "ours", 1000, 0.400, 0.412),
         "wo_dilation": runs(tmp_path, "wo_dilation", 1000, 0.350, 0.360),
@@ -62,12 +62,27 @@ def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
     (claim,) = training.compare_training(sweeps)
     head, (line,) = training.change_cells([claim], sweeps)
     assert head == [
-        "Claim", "Metric", "100 steps", "Verdict", "1,000 steps", "Verdict", "Change", "No change: p", "Changes",
-    ]  # fmt: skip
+        "Claim",
+        "Metric",
+        "100 steps",
+        "Verdict",
+        "1,000 steps",
+        "Verdict",
+        "Change",
+        "No change: p",
+        "Changes",
+    ]
     assert line == [
-        "Dilation helps", VOXEL_RAYIOU, "-0.100 ± 0.000",
-        "does not hold (opposite sign)", "+0.051 ± 0.001", "holds", "+0.151 ± 0.001", ".0042 (.017)", "yes",
-    ]  # fmt: skip
+        "Dilation helps",
+        VOXEL_RAYIOU,
+        "-0.100 ± 0.000",
+        "does not hold (opposite sign)",
+        "+0.051 ± 0.001",
+        "holds",
+        "+0.151 ± 0.001",
+        ".0042 (.017)",
+        "yes",
+    ]
 
 
 def compared(judge: str, *gaps: Gap) -> training.Compared:
@@ -87,8 +102,9 @@ def test_changes_are_adjusted_within_a_judge():
     sweeps = {steps: Sweep([], {}, "", "", [SKETCH], []) for steps in "01"}
     _, lines = training.change_cells([claims[1], compared(SURFACE_RAYIOU, *unknown)], sweeps)
     assert [line[-3:] for line in lines] == [
-        ["+0.000 ± 0.014", "1 (1)", "not found"], ["+0.100", "–", "unknown"],
-    ]  # fmt: skip
+        ["+0.000 ± 0.014", "1 (1)", "not found"],
+        ["+0.100", "–", "unknown"],
+    ]
 
 
 def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):

@@ -16,17 +16,20 @@ def row(name: str, *values: float) -> list[FinishedRun]:
 
 def test_claims_stand_once_and_by_verdict():
     runs = {
-        "ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": row("wo", 0.29, 0.31, 0.30),
+        "ours": row("ours", 0.300, 0.301, 0.302),
+        "wo_dilation": row("wo", 0.29, 0.31, 0.30),
         "random": row("random", 0.200, 0.201, 0.202),
-    }  # fmt: skip
+    }
     again = SKETCH._replace(name="again", title="Again")
     part, surface, _ = verdicts_parts([SKETCH, again], runs, verdicts_of([SKETCH, again], runs))
     lines = part.cells[1]
     assert (part.title, surface.title) == ("Claims by voxel RayIoU", "Claims by surface RayIoU")
     assert [(line[0], line[2]) for line in lines] == [
-        ("Sketch ahead of random voxels", "holds"), ("Dilation helps", "undecided"),
-        ("Omnidirectional ahead of monocular depth", "not run"), ("Sketch ahead of all voxels", "not run"),
-    ]  # fmt: skip
+        ("Sketch ahead of random voxels", "holds"),
+        ("Dilation helps", "undecided"),
+        ("Omnidirectional ahead of monocular depth", "not run"),
+        ("Sketch ahead of all voxels", "not run"),
+    ]
     assert lines[0][3:8] == ["+0.100 ± 0.001", "+0.069", "+0.044", "–", "3 and 3"]
     assert {line[2] for line in surface.cells[1]} == {"not compared: other protocols", "not run"}
     assert verdicts_parts([], {}, {}) == []
@@ -36,9 +39,10 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
     """The noise of the row without dilation hides the gap to random voxels, whose own differences hardly vary."""
     part = SKETCH._replace(rows=[each._replace(alone=False) for each in SKETCH.rows])
     runs = {
-        "ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": row("wo", 0.26, 0.36, 0.30),
+        "ours": row("ours", 0.300, 0.301, 0.302),
+        "wo_dilation": row("wo", 0.26, 0.36, 0.30),
         "random": row("random", 0.200, 0.2011, 0.202),
-    }  # fmt: skip
+    }
     decided = verdicts_of([part], runs)
     *_, (_, title, _, (_, lines)) = verdicts_parts([part], runs, decided)
     assert title == "Claims by paired differences"

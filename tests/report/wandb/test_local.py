@@ -87,9 +87,13 @@ def test_the_viewer_shows_a_run_on_a_pseudo_terminal(tmp_path, monkeypatch):
     environment = {**os.environ, "TERM": "xterm-256color", "PYTHONPATH": str(Path(omniocc.__file__).parents[1])}
     command = [sys.executable, "-m", "omniocc.report.wandb.local", "--runs", str(tmp_path)]
     viewer = subprocess.Popen(
-        command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment | {"HOME": str(tmp_path)},
+        command,
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        env=environment | {"HOME": str(tmp_path)},
         start_new_session=True,
-    )  # fmt: skip
+    )
     os.close(terminal)
     try:
         shown, end = "", time.monotonic() + 90

@@ -66,8 +66,10 @@ def assert_arrived(server, folder):
     assert (sent["project"], sent["groupName"], sent["jobType"]) == ("p", "tiny", "occupancy")
     assert (sent["displayName"], sent["tags"]) == (folder.name, ["mono", "x"])
     assert {key: config[key]["value"] for key in ("row", "seed", "slots")} == {
-        "row": "mono", "seed": 3, "slots": {"sketch": "dense"},
-    }  # fmt: skip
+        "row": "mono",
+        "seed": 3,
+        "slots": {"sketch": "dense"},
+    }
     rows = server.history(name)
     assert [(row[STEP], row["train/loss"]) for row in rows if "train/loss" in row] == [(1, 2.5)]
     assert not any("test/rayiou" in row for row in rows)
@@ -169,8 +171,13 @@ def test_the_dashboard_is_saved_or_says_why_not(server, tmp_path, capsys):
     assert f"dashboard {server.url}/me/omniocc?nw=" in capsys.readouterr().out
     assert (view["entityName"], view["projectName"], view["displayName"]) == ("me", "omniocc", "OmniDepth-Occ")
     sections = json.loads(view["spec"])["section"]["panelBankConfig"]["sections"]
-    assert [section["name"] for section in sections] == ["compare rows", "by range", "by class", "depth and sketch",
-                                                         "images"]  # fmt: skip
+    assert [section["name"] for section in sections] == [
+        "compare rows",
+        "by range",
+        "by class",
+        "depth and sketch",
+        "images",
+    ]
     dashboard.main(["--runs", str(runs), "--entity", "team", "--project", "other"])
     assert (server.views[1]["entityName"], server.views[1]["projectName"]) == ("team", "other")
     server.refused["UpsertView2"] = 403

@@ -5,8 +5,7 @@ import pytest
 from filelock import FileLock
 from offline_file import files_of, history, runs_in
 
-from omniocc.report.wandb.killed import remove_half_record, whole_bytes
-from omniocc.report.wandb.upload import log_report, main, pending_runs
+from omniocc.report.wandb.upload import log_report, main, pending_runs, remove_half_record, whole_bytes
 
 
 def offline_run(folder, number=1):

@@ -35,7 +35,7 @@ class WandbServer(ThreadingHTTPServer):
         self.artifacts: dict[str, dict[str, Any]] = {}
         self.committed: list[str] = []
         self.views: list[dict[str, Any]] = []
-        self.ignore: list[str] = []
+        self.unknown: list[str] = []
         self.refused: dict[str, int] = {}
 
     @property
@@ -66,7 +66,7 @@ class WandbServer(ThreadingHTTPServer):
         field = re.search(r"{\s*(\w+)", query)
         assert field is not None
         if match[1] == "mutation":
-            self.ignore.append(match[2])
+            self.unknown.append(match[2])
         return 200, {"data": {field[1]: None}}
 
     def on_Viewer(self, given):  # noqa: N802

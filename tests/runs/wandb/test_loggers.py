@@ -4,6 +4,7 @@ import json
 import math
 import time
 from collections import Counter
+from math import nan
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from torch.utils.data import DataLoader
 
 from omniocc.errors import UserError
 from omniocc.runs.wandb import Loggers
-from omniocc.runs.wandb.loggers import finish, log_earlier_stages, rows_in_csv, wandb_of
+from omniocc.runs.wandb.loggers import finish, log_earlier_stages, log_file, result_tables, rows_in_csv, wandb_of
 from omniocc.runs.wandb.media import Named
 
 CONFIG = {
@@ -119,8 +120,16 @@ def test_a_resumed_run_continues_its_curves(resumed):
 def test_scores_of_a_test_are_a_summary_and_no_charts(resumed):
     charts = {key for path in files_of(resumed) for row in history(path) for key in row}
     charts = {key for key in charts if not key.startswith("_")}
-    assert charts == {"train/loss", "val/rayiou", "test/bev", "test/points", "tables/by_class", "tables/by_range",
-                      "epoch", STEP}  # fmt: skip
+    assert charts == {
+        "train/loss",
+        "val/rayiou",
+        "test/bev",
+        "test/points",
+        "tables/by_class",
+        "tables/by_range",
+        "epoch",
+        STEP,
+    }
     found = summary(files_of(resumed)[1])
     scores = {"test/rayiou/Road": 0.5, "test/rayiou_0-8.5m": 0.25, "prior/rayiou": 0.125, "label/rayiou": 1.0}
     assert {key: found[key] for key in scores} == scores
@@ -222,3 +231,39 @@ def test_disabled_leaves_the_csv_file_and_online_needs_a_login(tmp_path, monkeyp
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     with pytest.raises(UserError, match="wandb login"):
         Loggers("online", "p", None, []).build(tmp_path, CONFIG, "occupancy")
+
+
+def test_tables_have_the_columns_that_were_measured():
+    metrics = {"test/rayiou/Road": 0.5, "test/rayiou/Pole": nan, "test/rayiou": 0.3, "test/rayiou_8.5-17m": 0.2}
+    tables = result_tables(metrics | {"test/depth/mae_0-8.5m": 1.5, "val/rayiou/Road": 1.0})
+    by_class = tables["tables/by_class"]
+    assert by_class.columns == ["class", "voxel RayIoU"]
+    assert by_class.rows[0] == ["Road", 0.5]
+    assert dict(map(tuple, by_class.rows))["Pole"] is None
+    assert len(by_class.rows) == 2
+    by_range = tables["tables/by_range"]
+    assert by_range.columns == ["range", "voxel RayIoU", "depth: MAE, m"]
+    assert by_range.rows == [["0-8.5m", None, 1.5], ["8.5-17m", 0.2, None]]
+
+
+def test_a_run_that_was_not_tested_has_no_tables():
+    assert result_tables({"train/loss": 1.0}) == {}
+
+
+def test_a_robustness_test_has_a_line_for_every_disturbance():
+    metrics = {"robustness/undisturbed/rayiou": 0.5, "robustness/view_90_deg/rayiou": 0.2}
+    metrics |= {"robustness/view_90_deg/drop": 0.3, "robustness/view_90_deg/error": nan}
+    table = result_tables(metrics)["tables/robustness"]
+    assert table.columns == ["disturbance", "RayIoU", "drop", "standard error"]
+    assert table.rows == [["undisturbed", 0.5, None, None], ["view_90_deg", 0.2, 0.3, None]]
+
+
+def test_a_file_is_kept_as_an_artifact(tmp_path):
+    folder, file = tmp_path / "ours 1", tmp_path / "view.rrd"
+    folder.mkdir()
+    file.write_bytes(b"content")
+    log_file(folder, file, "streets")
+    (found,) = folder.glob("wandb/offline-run-*/run-*.wandb")
+    artifacts = [record.artifact for record in records(found) if record.HasField("artifact")]
+    assert [(one.name, one.type) for one in artifacts] == [("ours-1-view.rrd", "view")]
+    assert [entry.path for entry in artifacts[0].manifest.contents] == ["view.rrd"]

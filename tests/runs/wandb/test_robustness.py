@@ -6,11 +6,13 @@ from offline_file import files_of, history, runs_in
 
 from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness
 from omniocc.runs.wandb import Loggers
-from omniocc.runs.wandb.robustness import log_robustness, robustness_metrics
+from omniocc.runs.wandb.loggers import log_robustness, robustness_metrics
 
 
 def part(name, group, score):
-    return PartScores(name, group, ["a", "b"], 2, 1.0, {"rayiou": score}, {"rayiou": [score - 0.1, score + 0.1]})
+    return PartScores(
+        name, group, ["a", "b"], 2, 1.0, {"rayiou": score}, without={"rayiou": [score - 0.1, score + 0.1]}
+    )
 
 
 RECORD = Robustness("tiny", {}, [part(UNDISTURBED, UNDISTURBED, 0.5), part("night", "night", 0.2)])

@@ -4,11 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera.calibration.fields import Calibration
-from omniocc.camera.calibration.kalibr import read_kalibr
 from omniocc.camera.calibration.kitti360 import POSES, read_kitti360, read_kitti360_folder
 from omniocc.camera.calibration.ocamcalib import is_ocamcalib, read_ocamcalib
-from omniocc.camera.calibration.omnimvs import read_omnimvs
-from omniocc.camera.calibration.opencv import read_opencv
+from omniocc.camera.calibration.yaml_files import read_kalibr, read_omnimvs, read_opencv
 from omniocc.io import parse_yaml
 
 __all__ = ["Calibration", "parse", "read_calibration", "read_calibration_folder"]

@@ -13,7 +13,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from omniocc.data.source import SceneFrames, VoxelLabels
-from omniocc.data.store.zstd import decompress
+from omniocc.data.store.codec import decompress
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
 from omniocc.progress import Progress

@@ -4,9 +4,9 @@
 | ----------------- | --------------------------------------- | ----------------------------------------------------- |
 | `frame.json`      | time, pose, boxes                       | none                                                  |
 | `rgb<k>.jpg`      | colour of camera k, JPEG quality 95     | lossy: a few grey levels                              |
-| `semantic<k>.zst` | class ids of camera k (`raster`)        | none                                                  |
-| `range<k>.zst`    | range of camera k, 16 bit (`raster`)    | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
-| `erp_range.zst`   | range around the ego origin (`raster`)  | as range                                              |
+| `semantic<k>.zst` | class ids of camera k (`pack`)          | none                                                  |
+| `range<k>.zst`    | range of camera k, 16 bit (`pack`)      | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
+| `erp_range.zst`   | range around the ego origin (`pack`)    | as range                                              |
 | `points.zst`      | surface points, 3 x 16 bit, and class   | 1/256 m per axis; beyond 255.99 m left out, reordered |
 | `lidar.zst`       | range (16 bit) and class of each ray    | as range; classes none                                |
 
@@ -20,16 +20,14 @@ The members after the images may be absent: logs of real cars have no classes of
 
 import json
 from collections.abc import Mapping
+from itertools import pairwise
 
 import cv2
 import numpy as np
 import zstandard
 
 from omniocc.camera.protocol import finite, numbers
-from omniocc.data.labels.morton import interleave, separate
 from omniocc.data.store.frame import RecordedFrame
-from omniocc.data.store.raster import MAX_PIXELS, pack, unpack
-from omniocc.data.store.zstd import decompress
 from omniocc.frame import Box, Frame
 from omniocc.io import parse_json
 
@@ -43,6 +41,21 @@ ZSTD_LEVEL = 1
 MAX_POINTS = 2**25
 """More than all LiDARs of a car measure in a frame."""
 _CODE_BYTES = 6
+_HEADER = np.dtype("<u2")
+_HEADER_BYTES = 4
+MAX_PIXELS = 2**26
+"""More than any camera or panorama has; 8192 x 8192."""
+# shift and mask of each step: 16 bits are spread to every third place in four halvings
+_STEPS = tuple(
+    (np.uint64(shift), np.uint64(mask))
+    for shift, mask in (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    )
+)
 
 
 def encode_frame(frame: Frame | RecordedFrame) -> dict[str, bytes]:
@@ -216,3 +229,86 @@ def _decode_box(box: dict) -> Box:
     center_m, size_m, velocity_mps = (numbers(f"the {key} of a box", box[key], n, n) for key, n in lengths.items())
     yaw_rad = finite("the yaw_rad of a box", box["yaw_rad"])
     return Box(box["id"], box["label"], center_m, size_m, yaw_rad, velocity_mps)  # type: ignore[arg-type]
+
+
+def pack(pixels: np.ndarray) -> bytes:
+    """Return an image (H, W) uint8 or uint16 as bytes, equal ones for equal pixels.
+
+    A header of height and width (two uint16), then the pixels under zstd. 16-bit pixels are replaced by their
+    difference from a plane through the left, upper and upper left neighbours; all low bytes come before all high
+    bytes. Ranges of a street become a third smaller than PNG, seven times as fast.
+    """
+    body = pixels if pixels.dtype == np.uint8 else _differences(pixels)
+    header = np.array(pixels.shape, dtype=_HEADER).tobytes()
+    return zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(header + np.ascontiguousarray(body).tobytes())
+
+
+def unpack(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
+    """Return the image that bytes hold, the inverse of `pack`; it may have at most this many pixels.
+
+    Raises:
+        ValueError: if it has more, or the bytes hold neither 8 nor 16 bits per pixel.
+        zstandard.ZstdError: if they are no zstd frame.
+    """
+    content = np.frombuffer(decompress(blob, 2 * min(limit_px, MAX_PIXELS) + _HEADER_BYTES), dtype=np.uint8)
+    height, width = content[:4].view(_HEADER).tolist()
+    body = content[4:]
+    if len(body) == height * width:
+        return body.reshape(height, width).copy()
+    low, high = body.reshape(2, height, width).astype(np.uint16)
+    residual = low | high << np.uint16(8)
+    residual = (residual >> np.uint16(1)) ^ -(residual & np.uint16(1))
+    pixels = np.add.accumulate(residual, axis=1, dtype=np.uint16)
+    for above, row in pairwise(pixels):  # three times as fast as accumulating along the columns
+        row += above
+    return pixels
+
+
+def _differences(pixels: np.ndarray) -> np.ndarray:
+    """Return the low, then the high bytes (2, H, W) of second differences modulo 2**16.
+
+    Differences near zero become small numbers: 0, -1, 1, -2 become 0, 1, 2, 3.
+    """
+    across = pixels.copy()
+    across[:, 1:] -= pixels[:, :-1]
+    residual = across.copy()
+    residual[1:] -= across[:-1]
+    signed = residual.view(np.int16)
+    folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+    return np.stack([folded & 0xFF, folded >> 8]).astype(np.uint8)
+
+
+def decompress(blob: bytes, limit_bytes: int) -> bytes:
+    """Return the content of a frame that states its size.
+
+    Raises:
+        ValueError: if it would be larger than the limit; nothing is unpacked.
+        zstandard.ZstdError: if the bytes are no such frame.
+    """
+    size = zstandard.frame_content_size(blob)
+    if size > limit_bytes:
+        raise ValueError(f"it unpacks to {size:,} bytes, at most {limit_bytes:,} are expected")
+    return zstandard.ZstdDecompressor().decompress(blob)
+
+
+def interleave(steps: np.ndarray) -> np.ndarray:
+    """Return the codes (P,) uint64, 48 bits each, of coordinates (P, 3) int16."""
+    code = np.zeros(len(steps), dtype=np.uint64)
+    for axis in range(3):
+        bits = (steps[:, axis].astype(np.int32) + 32768).astype(np.uint64)
+        for shift, mask in _STEPS:
+            bits = (bits | (bits << shift)) & mask
+        code |= bits << np.uint64(axis)
+    return code
+
+
+def separate(codes: np.ndarray) -> np.ndarray:
+    """Return the coordinates of codes, the inverse of `interleave`."""
+    steps = np.empty((len(codes), 3), dtype=np.int16)
+    masks = [np.uint64(0xFFFF), *(mask for _, mask in _STEPS)]
+    for axis in range(3):
+        bits = (codes >> np.uint64(axis)) & masks[-1]
+        for (shift, _), mask in zip(_STEPS[::-1], masks[-2::-1], strict=True):
+            bits = (bits | (bits >> shift)) & mask
+        steps[:, axis] = bits.astype(np.int32) - 32768
+    return steps

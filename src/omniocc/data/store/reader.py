@@ -1,6 +1,6 @@
 """Recorded scenes: the decoded arrays of any frame."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, cached_property
@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import numpy as np
+from jaxtyping import Bool, Float32, UInt8
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, UNKNOWN
-from omniocc.data.labels.moving import hits_of_moving
 from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import (
     FACTS,
@@ -28,9 +28,9 @@ from omniocc.data.store.codec import (
 )
 from omniocc.data.store.files import LIMIT_BYTES, named
 from omniocc.data.store.folder import SceneFolder
-from omniocc.data.store.panorama import resampled
 from omniocc.data.store.shard import digest, shard_name
 from omniocc.errors import DataError
+from omniocc.frame import Box
 from rayiou.directions import sparseocc_directions
 from rayiou.labels import ids_beyond
 
@@ -42,6 +42,10 @@ CONDITIONS = {"weather": "weather", "place": "theme"}
 RIG_LIMIT_BYTES = 2**22
 """Largest size of a rig file, which is read in seconds."""
 _RIGS: dict[tuple[str, ...], Rig] = {}
+MOVES_MPS = 0.3
+"""Speed from which an actor moves; a car at a red light does not."""
+MARGIN_M = 0.3
+"""Distance by which a hit may lie outside the upright box of an actor, since the road and the ego car tilt."""
 
 
 @cache
@@ -230,3 +234,65 @@ class SceneReader(SceneFolder):
             yield
         except Exception as error:  # decoders raise errors of many kinds
             raise self._wrong(frame, f"it cannot be decoded ({named(error)})", name) from error
+
+
+def resampled(
+    range_m: Float32[np.ndarray, "H W"], given: Equirectangular, wanted: Equirectangular
+) -> Float32[np.ndarray, "h w"]:
+    """Return a panorama of ranges with other rows and columns.
+
+    A pixel has the range of the recorded pixel at its centre; if that is not known, the smallest known range of those
+    in the pixel, so that the sparse points of a LiDAR are kept; nan without any, and beyond the recorded edges.
+    """
+    if given == wanted:
+        return range_m
+    rows, columns = _rows(wanted, given), _nearest(wanted.width, given.width)
+    inside = (rows >= 0) & (rows < given.height)
+    result = np.full((wanted.height, wanted.width), np.nan, np.float32)
+    result[inside] = range_m[rows[inside]][:, columns]
+    known = ~np.isnan(range_m)
+    if known.all():
+        return result
+    row, column = np.nonzero(known)
+    row, column = _rows(given, wanted)[row], _nearest(given.width, wanted.width)[column]
+    held = (row >= 0) & (row < wanted.height)
+    smallest = np.full_like(result, np.nan)
+    np.fmin.at(smallest, (row[held], column[held]), range_m[known][held])
+    return np.where(np.isnan(result), smallest, result)
+
+
+def _nearest(count: int, other: int) -> np.ndarray:
+    """Return the cell among `other` equal parts of the full turn that holds the centre of each of `count`."""
+    return ((np.arange(count) + 0.5) * other / count).astype(np.int64)
+
+
+def _rows(one: Equirectangular, other: Equirectangular) -> np.ndarray:
+    """Return the row of another panorama that holds the centre of each row of one; outside of it beyond its edges."""
+    elevation = one.top_deg - (np.arange(one.height) + 0.5) * (one.top_deg - one.bottom_deg) / one.height
+    return np.floor((other.top_deg - elevation) * other.height / (other.top_deg - other.bottom_deg)).astype(np.int64)
+
+
+def hits_of_moving(
+    range_m: Float32[np.ndarray, " R"],
+    labels: UInt8[np.ndarray, " R"],
+    directions: Float32[np.ndarray, "R 3"],
+    boxes: Sequence[Box],
+) -> Bool[np.ndarray, " R"]:
+    """Return which rays hit an actor that moves: they end in its box, seen from above, on its class.
+
+    Args:
+        range_m: along the rays from the ego origin, m; inf where nothing is hit.
+        labels: class that is hit.
+        directions: unit rays in the ego frame.
+        boxes: actors of the frame, moving or not, ego frame.
+    """
+    found = np.zeros(len(labels), dtype=bool)
+    for box in boxes:
+        if np.hypot(*box.velocity_mps) < MOVES_MPS:
+            continue
+        rays = np.flatnonzero(labels == box.label)
+        away_m = range_m[rays, None] * directions[rays, :2] - np.array(box.center_m[:2])
+        cos, sin = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
+        along_m = np.abs(away_m @ np.array([[cos, -sin], [sin, cos]]))
+        found[rays[(along_m < np.array(box.size_m[:2]) / 2 + MARGIN_M).all(axis=1)]] = True
+    return found

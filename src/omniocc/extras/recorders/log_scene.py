@@ -1,7 +1,6 @@
 """A log becomes a scene: the samples that belong together are chosen, then written frame by frame."""
 
 import itertools
-import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing
@@ -27,7 +26,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.log import Log, Plan, Timing, check_timing, missing_lines, plan_frames
-from omniocc.io import atomic_write, checked_name
+from omniocc.io import checked_name
 from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
 
@@ -35,8 +34,6 @@ SHORTEST_S, LONGEST_S = 5e-4, 60.0
 """Limits of the median time between frames: beyond them the unit of the times is wrong."""
 OFF_CENTRE_M = 0.5
 """Horizontal distance of the ego origin from the middle of the cameras from which it is said."""
-BEGUN = "recipe.tmp"
-"""File in a scene that is being written: what it is made from."""
 
 
 class Stated(NamedTuple):
@@ -233,20 +230,15 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
 def _write(
     folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str, whys: list[str]
 ) -> None:
-    """Write the frames that are missing; add to `whys` why those with hardly any points have none within reach."""
+    """Write all frames; add to `whys` why those with hardly any points have none within reach."""
     if folder.exists():  # another process has made it while this one waited
         report(len(plan.times_s))
         return
     assert rig.road_z_m is not None
-    begun = folder.with_name(f"{folder.name}.partial") / BEGUN
-    if not begun.exists() or begun.read_text() != recipe:
-        shutil.rmtree(begun.parent, ignore_errors=True)  # of other options
     panorama = panorama_of(stated.panorama)
     with closing(SceneWriter(folder)) as writer:
-        atomic_write(begun, recipe)
-        report(writer.num_frames)
         spec = spec_of_log(log, plan, rig.road_z_m)
-        for number in range(writer.num_frames, len(plan.times_s)):
+        for number in range(len(plan.times_s)):
             frame = read_frame(log, plan, number, rig, panorama)
             if frame.points_m is not None and (why := out_of_reach(frame.points_m, spec.reach_m)):
                 whys.append(why)
@@ -256,7 +248,6 @@ def _write(
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})
-        (folder / BEGUN).unlink()  # until then a stop goes on from the frames that are there
 
 
 def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:

@@ -36,7 +36,7 @@ from omniocc.runs.robustness import FOLDER, WITHIN, PartScores, Robustness, load
 from omniocc.runs.table import in_columns
 from omniocc.runs.trust import CONF
 from omniocc.runs.wandb import Loggers
-from omniocc.runs.wandb.robustness import log_robustness
+from omniocc.runs.wandb.loggers import log_robustness
 from omniocc.runs.weights import digest_of
 from omniocc.train.occupancy import OccupancyTask, predictions
 from omniocc.train.scores import Scores
@@ -306,8 +306,7 @@ def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
     if find_spec("matplotlib") is None:
         print(f"No plot: matplotlib is missing: {installing('plot')}")
         return None
-    from omniocc.report.plots.robustness import drops
-    from omniocc.report.plots.svg import as_png
+    from omniocc.report.plots import as_png, drops
 
     path = folder / "robustness.png"
     atomic_write(path, png := as_png(drops(records)))

@@ -26,7 +26,7 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
         return
     path = write_page(options, target)
     if path is not None and target.wandb:
-        from omniocc.runs.wandb.artifact import log_file
+        from omniocc.runs.wandb.loggers import log_file
 
         folder = Path(options.run[0])
         log_file(folder, path, config_of(folder / "config.yaml").get("logger", {}).get("project", "omniocc"))

@@ -1,18 +1,114 @@
 """ResNet and feature pyramid."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from typing import ClassVar, Literal
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional as F
 from transformers import ResNetConfig
 
-from omniocc.model.ops.backbone.fpn import FPN, check_finest_first
-from omniocc.model.ops.backbone.pretrained import Normalize, build_resnet
-from omniocc.model.ops.deformable_conv import DeformableConv2d
+from omniocc.model.ops.backbone import FPN, Normalize, build_resnet, check_finest_first
+from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padded import FeatureMaps
 
+log = logging.getLogger(__name__)
+
+Pair = tuple[int, int]
+Operator = Callable[[Tensor, Tensor, Tensor, Tensor, Pair, Pair], Tensor]
 STRIDES = [4, 8, 16, 32]
+
+
+def sampled_convolution(
+    maps: Float[Tensor, "B C H W"],
+    weight: Float[Tensor, "D C k l"],
+    offsets: Float[Tensor, "B 2*k*l h w"],
+    mask: Float[Tensor, "B k*l h w"],
+    stride: Pair,
+    padding: Pair,
+) -> Float[Tensor, "B D h w"]:
+    """Convolve with taps moved by `offsets` and scaled by `mask`; bilinear between pixels, zeros outside.
+
+    Args:
+        maps: input of the convolution.
+        weight: the kernel.
+        offsets: of each tap in pixels: (row, column) of one tap after another, in row-major order.
+        mask: factor of each tap.
+        stride: along rows and columns, px.
+        padding: where the kernel begins, px before the first row and column.
+    """
+    batch, channels, rows, columns = maps.shape
+    positions = _tap_positions(weight.shape[2:], offsets, stride, padding)
+    found = corners(positions, mask.permute(0, 2, 3, 1), (rows, columns), (False, False))
+    table = F.pad(maps.permute(0, 2, 3, 1), (0, 0, 1, 1, 1, 1)).reshape(-1, channels)
+    images = torch.arange(batch, dtype=torch.int32, device=maps.device)[:, None, None, None]
+    row = found.row + images * ((rows + 2) * (columns + 2))
+    samples = sum_samples(table, row.reshape(-1, 1), found.weights.flatten(0, 3)[:, None], found.steps)
+    taps = samples.view(*row.shape[:3], -1)
+    return F.linear(taps, weight.permute(0, 2, 3, 1).flatten(1)).permute(0, 3, 1, 2)
+
+
+def _tap_positions(
+    kernel: torch.Size, offsets: Float[Tensor, "B _ h w"], stride: Pair, padding: Pair
+) -> Float[Tensor, "2 B h w taps"]:
+    """Return (row, column) of every tap of every output pixel."""
+    taps = torch.cartesian_prod(*(torch.arange(size, device=offsets.device) for size in kernel))
+    moved = offsets.unflatten(1, (-1, 2)).permute(2, 0, 3, 4, 1)
+    axes = []
+    for axis, (size, step, pad) in enumerate(zip(offsets.shape[2:], stride, padding, strict=True)):
+        first = torch.arange(size, device=offsets.device) * step - pad
+        first = first[:, None, None] if axis == 0 else first[:, None]
+        axes.append(moved[axis] + (first + taps[:, axis]))
+    return torch.stack(axes)
+
+
+def _torchvision() -> Operator | None:
+    try:
+        from torchvision.ops import deform_conv2d
+    except ImportError:
+        return None
+    except RuntimeError as error:  # it was built for another torch
+        log.warning("torchvision does not fit torch, deformable convolution runs without it: %s", error)
+        return None
+    return lambda maps, weight, offsets, mask, stride, padding: deform_conv2d(
+        maps, offsets, weight, None, stride, padding, mask=mask
+    )
+
+
+OPERATORS: list[Operator] = [operator for operator in (_torchvision(), sampled_convolution) if operator is not None]
+
+
+class DeformableConv2d(nn.Module):
+    """Convolve deformably (DCNv2, Zhu et al., 2019) with the kernel of a convolution, whose result it has at first.
+
+    A convolution of the same kernel size predicts an offset and a factor 2 sigmoid(.) for each tap. Its weights are
+    zero initially. Sampling runs in float32, by torchvision's operator where installed.
+
+    Args:
+        conv: a convolution; ValueError if it has bias, groups or dilation.
+    """
+
+    def __init__(self, conv: nn.Conv2d):
+        super().__init__()
+        if conv.bias is not None or conv.groups != 1 or conv.dilation != (1, 1) or isinstance(conv.padding, str):
+            raise ValueError(f"{conv} cannot be made deformable: it must have no bias, groups or dilation")
+        self.stride: Pair = conv.stride  # type: ignore[assignment]
+        self.padding: Pair = conv.padding  # type: ignore[assignment]
+        self.weight = conv.weight
+        taps = conv.kernel_size[0] * conv.kernel_size[1]
+        self.taps = nn.Conv2d(conv.in_channels, 3 * taps, conv.kernel_size, self.stride, self.padding)  # type: ignore[arg-type]
+        nn.init.zeros_(self.taps.weight)
+        nn.init.zeros_(self.taps.bias)  # type: ignore[arg-type]
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D h w"]:
+        """Return the convolved maps."""
+        found = self.taps(maps)
+        split = found.shape[1] // 3 * 2
+        dtype = torch.promote_types(maps.dtype, torch.float32)
+        offsets, mask = found[:, :split].to(dtype), 2 * found[:, split:].to(dtype).sigmoid()
+        return OPERATORS[0](maps.to(dtype), self.weight, offsets, mask, self.stride, self.padding)
 
 
 class ResNet(nn.Module):

@@ -9,8 +9,7 @@ from torch.nn import functional as F
 from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
-from omniocc.model.ops.backbone.fpn import FPN, check_finest_first
-from omniocc.model.ops.backbone.pretrained import Normalize, load_or_random, require_equal
+from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224

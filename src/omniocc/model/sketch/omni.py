@@ -13,9 +13,7 @@ from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
 from omniocc.model.ops.evidence import pack_evidence, sight_of
 from omniocc.model.ops.padded import Rigs
-from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
-from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
-from omniocc.model.ops.sketch.range_gaps import GAP_CHANNELS, RangeGaps
+from omniocc.model.ops.sketch import GAP_CHANNELS, Cylinder3D, PointEncoder, RangeGaps, pseudo_points, still_axes
 from omniocc.model.protocols import Depth, Sketched
 
 
@@ -101,7 +99,7 @@ class Omni(nn.Module):
         self.panorama = depth.panorama
         self.depth = depth.requires_grad_(False).eval()
         self.points = PointEncoder(geometry, point_channels)
-        self.evidence = RangeGaps(geometry, self.panorama, samples)
+        self.range_gaps = RangeGaps(geometry, self.panorama, samples)
         self.register_buffer("place", place_of_cells(geometry), persistent=False)
         inputs = point_channels + 1 + GAP_CHANNELS + len(self.place)
         self.network = Cylinder3D(geometry, inputs, channels, 2)
@@ -134,7 +132,7 @@ class Omni(nn.Module):
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]
     ) -> tuple[Float[Tensor, "B 2 X Y Z"], UInt8[Tensor, "B X Y Z"]]:
         encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
-        gaps = self.evidence(range_m, valid)
+        gaps = self.range_gaps(range_m, valid)
         place = self.place.expand(len(range_m), *self.place.shape)
         logits = self.network(torch.cat([encoded, hit, gaps, place], dim=1))
         return logits, sight_of(hit[:, 0] > 0, known=gaps[:, 0], gap=gaps[:, 2])

@@ -10,15 +10,15 @@ import torch
 from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import ClassTable, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
-from omniocc.predict.output.ply import ply_bytes
-from omniocc.predict.output.voxel_mesh import voxel_mesh
+from omniocc.predict.output.range_files import ply_bytes
 from omniocc.predict.predictor import PredictedFrame
 from rayiou.labels import ids_beyond
+from rayiou.surface import surface, with_area
 
 VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
 
@@ -124,3 +124,26 @@ def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
     if labels.shape != geometry.shape:
         raise UserError(f"{path} has the grid {labels.shape}, not {geometry.shape}; force=true predicts it again")
     return torch.from_numpy(labels)
+
+
+class VoxelMesh(NamedTuple):
+    """Four vertices and two triangles per face, so that every face has one colour.
+
+    Attributes:
+        points_m: (V, 3) float64, ego frame.
+        colors: (V, 3) uint8 RGB, of the class.
+        triangles: (T, 3) indices of vertices, counter-clockwise seen from outside.
+    """
+
+    points_m: np.ndarray
+    colors: np.ndarray
+    triangles: np.ndarray
+
+
+def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> VoxelMesh:
+    """Return the faces of occupied cells towards cells that are not; unknown cells count as empty."""
+    quads, cells = with_area(surface((labels != FREE) & (labels != UNKNOWN), geometry))
+    colors = classes.palette[labels.reshape(-1).numpy()[cells]]
+    first = 4 * np.arange(len(quads))[:, None, None]
+    triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return VoxelMesh(quads.reshape(-1, 3), np.repeat(colors, 4, axis=0), triangles)

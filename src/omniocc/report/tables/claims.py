@@ -1,18 +1,52 @@
 """The paper's claims that one method is ahead of another, decided by one rule: see `Judged.verdict`."""
 
+import functools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from scipy import stats
 
 from omniocc.report.runs import RAY_IOU, FinishedRun
-from omniocc.report.tables.gaps import EXACT, UNKNOWN, Gap, Gaps, gap_of_systems, paired_gap
-from omniocc.report.tables.holm import holm
+from omniocc.report.tables.gaps import EXACT, UNKNOWN, Gap, Gaps, gap_of_systems, holm, paired_gap
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.protocol import counted_alike
-from omniocc.report.tables.streets import error_over_streets
+from omniocc.runs.scenes import LIDAR, RAYS, SCENES, without_each_scene
 from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
+
+KINDS = {"test/rayiou": RAYS, "test/lidar/rayiou": LIDAR}
+"""Rays whose counts give a metric, by its key."""
+
+
+def error_over_streets(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> float:
+    """Return the standard error of a gap over the streets of the test, for the seeds that were trained.
+
+    It is that of the jackknife: every street is left out of both rows in turn (Efron and Stein, 'The jackknife estimate
+    of variance', Annals of Statistics 9, 1981). It is nan if a run has no counts by street, if the rows have other
+    streets, or for another metric than RayIoU.
+    """
+    if key not in KINDS:
+        return math.nan
+    scores = [_without_each(run.folder / SCENES, KINDS[key]) for run in (*better, *other)]
+    streets = sorted(scores[0]) if scores else []
+    if len(streets) < 2 or any(sorted(found) != streets for found in scores):
+        return math.nan
+    values = np.array([[found[street] for street in streets] for found in scores])
+    gaps = values[: len(better)].mean(axis=0) - values[len(better) :].mean(axis=0)
+    return float(math.sqrt((len(streets) - 1) * gaps.var()))
+
+
+def _without_each(path: Path, kind: str) -> Mapping[str, float]:
+    return _read(path, path.stat().st_mtime_ns, kind) if path.exists() else {}
+
+
+@functools.cache
+def _read(path: Path, modified_ns: int, kind: str) -> Mapping[str, float]:
+    """Return the scores without each street of a file as it is since `modified_ns`."""
+    return without_each_scene(path.parent, kind)
+
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05

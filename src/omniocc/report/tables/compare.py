@@ -13,8 +13,7 @@ from omniocc.report.selection import mixtures
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.budget import samples_a_step, steps_of_stages
 from omniocc.report.tables.claims import JUDGES, LEVEL, p_cell, p_text
-from omniocc.report.tables.gaps import RANGE_ERROR, UNKNOWN, Gap, gap_of_systems, paired_gap
-from omniocc.report.tables.holm import holm
+from omniocc.report.tables.gaps import RANGE_ERROR, UNKNOWN, Gap, gap_of_systems, holm, paired_gap
 from omniocc.report.tables.paper import figure_of
 from omniocc.report.tables.protocol import counted_alike
 

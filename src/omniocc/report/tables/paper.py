@@ -148,23 +148,20 @@ def load_table(path: Path) -> PaperTable:
             PaperRow(run, row["title"], _by_column(columns, row, run), row.get("alone", False), row.get("claim", ""))
             for run, row in content["rows"].items()
         ]
-        note, here, number_in_paper = content.get("note", ""), content.get("here", ""), content.get("number", 0)
-        page = content.get("page", PAPER if number_in_paper else "")
-        compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
-        of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
+        number_in_paper = content.get("number", 0)
         table = PaperTable(
             path.stem,
             content["title"],
             columns,
             order_by,
             rows,
-            note,
-            here,
-            number_in_paper,
-            page,
-            compares,
-            claims,
-            of_lengths,
+            note=content.get("note", ""),
+            here=content.get("here", ""),
+            number=number_in_paper,
+            page=content.get("page", PAPER if number_in_paper else ""),
+            compares=content.get("compares", "parts"),
+            claims=[(a, b) for a, b in content.get("claims", ())],
+            of_lengths=all("@" in row.run and not row.run.endswith("@same") for row in rows),
             reasons=dict(content.get("reasons", {})),
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:

@@ -22,7 +22,7 @@ PARTS_NOTE = "In brackets: the standard error over scenes (jackknife)."
 SCORES = {"rayiou": VOXEL_RAYIOU, "lidar/rayiou": SURFACE_RAYIOU, "voxel/iou": "IoU", "voxel/miou": "mIoU"}
 
 
-def names_of(records: Sequence[Robustness]) -> list[str]:
+def system_names(records: Sequence[Robustness]) -> list[str]:
     """Return the names of systems in tables: their rows.
 
     Systems of the same row are told apart by steps and seed of their training, or by their folders if these are unknown
@@ -57,7 +57,7 @@ def relative_cells(records: Sequence[Robustness], names: Sequence[str] = ()) -> 
     are one column, of their means.
     """
     columns: dict[str, list[Robustness]] = {}
-    for name, record in zip(names or names_of(records), records, strict=True):
+    for name, record in zip(names or system_names(records), records, strict=True):
         columns.setdefault(name, []).append(record)
     parts = set(common_parts(records))
     drops, undisturbed = [], []
@@ -82,7 +82,9 @@ def mean_drop(drops: dict[str, float]) -> float:
 def verdict(records: Sequence[Robustness]) -> str:
     """Return in words which system loses least; nothing if no disturbance is common to all."""
     parts = set(common_parts(records))
-    means = {name: mean_drop(drops_by_kind(one, parts)) for name, one in zip(names_of(records), records, strict=True)}
+    means = {
+        name: mean_drop(drops_by_kind(one, parts)) for name, one in zip(system_names(records), records, strict=True)
+    }
     name = min(means, key=lambda name: means[name])
     return f"{name} loses least: {_percent(means[name])} % in the mean over kinds." if parts else ""
 
@@ -94,7 +96,7 @@ def part_cells(records: Sequence[Robustness]) -> Cells:
     for name in names:
         found = [next((part for part in record.disturbed if part.part == name), None) for record in records]
         rows.append([name, *(_drop(part, record) for part, record in zip(found, records, strict=True))])
-    return [f"loss of {VOXEL_RAYIOU}", *names_of(records)], rows
+    return [f"loss of {VOXEL_RAYIOU}", *system_names(records)], rows
 
 
 def report_parts(records: Sequence[Robustness]) -> list[Part]:
@@ -102,7 +104,7 @@ def report_parts(records: Sequence[Robustness]) -> list[Part]:
     parts = []
     for place, group in enumerate(comparable(records)):
         name = f"robustness-{place}" if place else "robustness"
-        remarks = [NOTE, verdict(group), *map(facts_line, group, names_of(group))]
+        remarks = [NOTE, verdict(group), *map(facts_line, group, system_names(group))]
         parts.append(Part(name, TITLE, " ".join(filter(None, remarks)), relative_cells(group)))
         parts.append(Part(f"{name}-parts", f"{TITLE}: every disturbance", PARTS_NOTE, part_cells(group)))
     return parts

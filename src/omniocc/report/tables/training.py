@@ -19,8 +19,7 @@ from omniocc.report.tables.claims import (
     title_of,
 )
 from omniocc.report.tables.formats import Part, csv_text, exact
-from omniocc.report.tables.gaps import Gap, change
-from omniocc.report.tables.holm import holm
+from omniocc.report.tables.gaps import Gap, change, holm
 from omniocc.report.tables.paper import SPREAD, PaperRow, PaperTable, figure_of, spread_cells
 from omniocc.runs.curves import read_curve
 from omniocc.runs.table import Cells

@@ -94,10 +94,8 @@ def claim_lines(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name,
             name = name_of(better, other, rows, key)
             seeds = len(rows.get(better.run, ())), len(rows.get(other.run, ()))
             by_seed = name and not math.isnan(gap_by_seed(table, better, other, rows, name[-1]).here)
-            found = decided[name] if name else None
-            lines.append(
-                ClaimLine(table, better, other, judge, seeds, found, paired[name] if name and by_seed else None)
-            )
+            found, pairs = decided[name] if name else None, paired[name] if name and by_seed else None
+            lines.append(ClaimLine(table, better, other, judge, seeds, found=found, paired=pairs))
     return sorted(lines, key=lambda line: next(k for k, start in enumerate(ORDER) if line.verdict.startswith(start)))
 
 

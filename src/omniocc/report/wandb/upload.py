@@ -3,16 +3,49 @@
 import argparse
 import csv
 import hashlib
+import os
+import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
-from omniocc.report.wandb.killed import remove_half_record, whole_bytes
 from omniocc.runs.script import lines_not_tracebacks
 from omniocc.runs.wandb.loggers import check_login
+
+HEADER_BYTES, BLOCK_BYTES = 7, 32768
+PART = struct.Struct("<IHB")
+"""Checksum, length and kind of a record or a part of one."""
+FULL, LAST = 1, 4
+"""Kinds that end a record."""
+QUIET_S = 60
+"""W&B writes to the file of a run in progress every 15 s."""
+
+
+def whole_bytes(content: bytes) -> int:
+    """Return how many bytes the whole records of a file take, with the header; 0 without any."""
+    at, end = HEADER_BYTES, 0
+    while at + PART.size <= len(content):
+        left = BLOCK_BYTES - at % BLOCK_BYTES
+        _, length, kind = PART.unpack_from(content, at) if left >= PART.size else (0, 0, 0)
+        if kind == 0:  # padding at the end of a block
+            at += left
+            continue
+        at += PART.size + length
+        if at <= len(content) and kind in (FULL, LAST):
+            end = at
+    return end
+
+
+def remove_half_record(path: Path) -> None:
+    """Cut a file after its last whole record, unless it has been written to in the last minute."""
+    end = whole_bytes(path.read_bytes())
+    if 0 < end < path.stat().st_size and time.time() - path.stat().st_mtime > QUIET_S:
+        os.truncate(path, end)
+
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"

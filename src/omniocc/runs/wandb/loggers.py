@@ -6,21 +6,86 @@ row, 12 rows at 1 s per row). A resumed run does not log rows again that the CSV
 """
 
 import hashlib
+import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from omniocc.errors import UserError
 from omniocc.io import checked_name
 from omniocc.runs.curves import curve_files, read_rows
+from omniocc.runs.robustness import RAY_IOU, Robustness, drop_of
 from omniocc.runs.slots import slots_of
+from omniocc.runs.table import band_names, class_names
 from omniocc.runs.wandb.media import Named, wandb_object
-from omniocc.runs.wandb.result_tables import result_tables
+
+
+class ResultTable(NamedTuple):
+    """Column titles, and rows that begin with a name; None where nothing was measured."""
+
+    columns: list[str]
+    rows: list[list[str | float | None]]
+
+
+BY_CLASS = {
+    "voxel RayIoU": "test/rayiou/{}",
+    "surface RayIoU": "test/lidar/rayiou/{}",
+    "IoU": "test/voxel/iou/{}",
+    "baseline: voxel RayIoU": "prior/rayiou/{}",
+    "upper bound: surface RayIoU": "label/lidar/rayiou/{}",
+}
+BY_RANGE = {
+    "voxel RayIoU": "test/rayiou_{}",
+    "surface RayIoU": "test/lidar/rayiou_{}",
+    "baseline: voxel RayIoU": "prior/rayiou_{}",
+    "depth: MAE, m": "test/depth/mae_{}",
+    "depth: AbsRel": "test/depth/absrel_{}",
+    "sketch: recall": "test/sketch/recall_{}",
+    "sketch: precision": "test/sketch/precision_{}",
+    "sketch: fraction": "test/sketch/fraction_{}",
+}
+
+
+PART = re.compile("robustness/(.+)/rayiou")
+BY_PART = {
+    "RayIoU": "robustness/{}/rayiou",
+    "drop": "robustness/{}/drop",
+    "standard error": "robustness/{}/error",
+}
+
+
+def result_tables(metrics: Mapping[str, float]) -> dict[str, ResultTable]:
+    """Return the tables of a finished test, with the columns that have a figure.
+
+    They are `tables/by_class`, `tables/by_range` and, of a robustness test, `tables/robustness`.
+    """
+    parts = [match[1] for key in metrics if (match := PART.fullmatch(key))]
+    found = {
+        "tables/by_class": _table("class", class_names(metrics), BY_CLASS, metrics),
+        "tables/by_range": _table("range", band_names(metrics), BY_RANGE, metrics),
+        "tables/robustness": _table("disturbance", parts, BY_PART, metrics),
+    }
+    return {key: table for key, table in found.items() if len(table.columns) > 1}
+
+
+def _table(title: str, names: Sequence[str], columns: Mapping[str, str], metrics: Mapping[str, float]) -> ResultTable:
+    kept = {head: key for head, key in columns.items() if any(key.format(name) in metrics for name in names)}
+    rows: list[list[str | float | None]] = [
+        [name, *(_figure(metrics.get(key.format(name))) for key in kept.values())] for name in names
+    ]
+    return ResultTable([title, *kept], rows)
+
+
+def _figure(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else float(value)
+
 
 JobType = Literal["depth", "sketch", "occupancy", "robustness"]
 CSV = "csv"
@@ -203,3 +268,44 @@ def rows_in_csv(folder: Path) -> set[tuple[int, str]]:
             step = int(row.pop("step"))
             found |= {(step, key) for key, value in row.items() if value}
     return found
+
+
+ODD = re.compile(r"[^\w.-]+")
+
+
+def log_file(folder: Path, file: Path, project: str) -> None:
+    """Keep a file for W&B as an artifact of type `view`, in an offline run of its own in a run's folder.
+
+    `make wandb-sync` uploads it with the others; a file that is logged again becomes the artifact's next version.
+    """
+    os.environ.setdefault("WANDB_SILENT", "true")
+    import wandb
+
+    with wandb.init(dir=folder, name=f"{folder.name} view", project=project, job_type="view", mode="offline") as run:
+        artifact = wandb.Artifact(ODD.sub("-", f"{folder.name}-{file.name}"), type="view")
+        artifact.add_file(str(file))
+        run.log_artifact(artifact)
+    wandb.teardown()  # `finish` alone may return before the file is whole
+
+
+def robustness_metrics(record: Robustness) -> dict[str, float]:
+    """Return `robustness/<part>/rayiou` of all parts, and `/drop` and its standard `/error` of the disturbed ones."""
+    found = {f"robustness/{part.part}/rayiou": part.scores[RAY_IOU] for part in record.parts if RAY_IOU in part.scores}
+    for part in record.disturbed:
+        drop = drop_of(part, record.undisturbed)
+        found |= {f"robustness/{part.part}/drop": drop.value, f"robustness/{part.part}/error": drop.error}
+    return found
+
+
+def log_robustness(loggers: Sequence[Logger], record: Robustness, plot: np.ndarray | None) -> None:
+    """Log a finished test, with its plot, (H, W, 3) uint8 RGB, and end the W&B runs.
+
+    W&B does not get again what earlier calls have logged.
+    """
+    for logger in wandb_of(loggers):
+        if plot is not None:
+            logger.log_media({"robustness/plot": [Named(plot, record.system)]}, 0)
+    for logger in loggers:
+        logger.log_metrics(robustness_metrics(record), 0)
+        logger.finalize("success")
+    finish(loggers)

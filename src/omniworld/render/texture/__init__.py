@@ -1,4 +1,4 @@
-"""Procedural textures: `pattern` paints one per material (PAINTERS), `facade` those of house fronts.
+"""Procedural textures: `pattern` paints one per material (PAINTERS).
 
-`atlas` packs them with mip levels, and looks them up.
+`atlas` paints those of house fronts and packs all with mip levels.
 """

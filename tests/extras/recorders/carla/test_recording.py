@@ -187,8 +187,9 @@ def test_a_scene_that_fails_each_time_ends_the_recording(tmp_path):
 
 @pytest.mark.faults
 def test_a_killed_recorder_leaves_nothing_that_is_read_as_whole(tmp_path):
-    partial = tmp_path / "out" / "train-000-Town01.partial" / "journal.jsonl"
-    record(tmp_path, "recorder.frames=40", kill_when=lambda: partial.exists() and partial.read_text().count("\n") > 1)
+    partial = tmp_path / "out" / "train-000-Town01.partial"
+    shard = partial / "frames-000.tar"
+    record(tmp_path, "recorder.frames=40", kill_when=lambda: shard.exists() and shard.stat().st_size > 0)
     assert partial.exists()
     assert not (tmp_path / "out" / "train-000-Town01").exists()
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is True

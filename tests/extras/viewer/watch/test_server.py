@@ -23,7 +23,7 @@ from omniocc.extras.viewer.watch.server import Server, details, jobs, last_image
 from omniocc.progress import Status
 from omniocc.runs.wandb.loggers import CSV
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 EVIL = "<img src=x onerror=alert(1)>"
 
 

@@ -1,7 +1,6 @@
 """Record a dataset on a CARLA server, whatever server and machine do meanwhile."""
 
 import shlex
-import shutil
 import subprocess
 import sys
 import time
@@ -280,7 +279,6 @@ class CarlaRecorder:
 
     def _frames(self, folder: Path, plan: Plan, recipe: str) -> Iterator[None]:
         """Record one scene; yield after every frame."""
-        shutil.rmtree(folder.with_name(folder.name + ".partial"), ignore_errors=True)
         with (
             closing(SceneWriter(folder)) as writer,
             captured(self.python, self.job(plan), self.load_s, self.silence_s) as messages,

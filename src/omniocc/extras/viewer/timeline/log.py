@@ -28,7 +28,7 @@ from omniocc.extras.viewer.timeline.shapes import (
 )
 from omniocc.extras.viewer.timeline.sinks import to_file, to_own_viewer, to_viewer
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.output.range_files import point_cloud
 
 EntityPath = list[str]
 """Parts of an entity path; each may hold any characters, which Rerun escapes."""

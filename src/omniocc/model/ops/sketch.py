@@ -1,0 +1,255 @@
+"""What a sketch computes: points of a panorama of ranges, gaps between cells and ranges, and a 3D network."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise, product
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Equirectangular
+from omniocc.geometry import Grid
+from omniocc.model.ops.blocks import points_in_cells
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import Axes, Conv3d, Downsample, Periodic, Pointwise, check_halvings, upsample
+from omniocc.model.ops.static import is_static
+
+GAP_CHANNELS = 4
+"""Channels of range gaps: known fraction, and the gap at three scales."""
+ACROSS_SECOND: Axes = (3, 1, 3)
+ACROSS_FIRST: Axes = (1, 3, 3)
+
+
+def pseudo_points(
+    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], panorama: Equirectangular
+) -> Float[Tensor, "B P 3"]:
+    """Return the point that each pixel sees, ego frame, row by row; nan where the range is not valid."""
+    points = range_m.float().unsqueeze(-1) * panorama.rays(range_m.device)
+    return torch.where(valid.unsqueeze(-1), points, torch.nan).flatten(1, 2)
+
+
+def still_axes(geometry: Grid) -> list[int]:
+    """Return the axes that do not wrap around."""
+    return [axis for axis in range(3) if not geometry.periodic[axis]]
+
+
+def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
+    """Return the features that Cylinder3D has of points in the grid (ego frame, m): offset in the cell, place, range.
+
+    Offsets from the cell's centre are in cells, places from -1 to 1 over the grid, ranges in units of the grid's reach.
+    Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
+    """
+    places = torch.stack(geometry.coordinates(points), dim=-1)
+    offset = places - places.floor() - 0.5
+    cells = torch.tensor(geometry.shape, device=points.device)
+    axes = still_axes(geometry)
+    coordinates = (2 * places / cells - 1)[:, axes]
+    return torch.cat([offset, coordinates, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
+
+
+@lru_cache(maxsize=16)
+def reach_m(geometry: Grid) -> float:
+    """Return the horizontal distance of the farthest column."""
+    return float(geometry.distances_m().max())
+
+
+def voxel_max(
+    features: Float[Tensor, "P C"], cells: Int64[Tensor, " P"], num_cells: int
+) -> Float[Tensor, "num_cells C"]:
+    """Return the largest value of each feature among the points of a cell; 0 if negative or without points."""
+    index = cells.unsqueeze(1).expand_as(features)
+    return features.new_zeros(num_cells, features.shape[1]).scatter_reduce(0, index, features, "amax")
+
+
+class PointEncoder(nn.Module):
+    """Encode the points of every cell: an MLP on each point, the maximum in each cell."""
+
+    def __init__(self, geometry: Grid, channels: int):
+        super().__init__()
+        self.geometry = geometry
+        self.channels = channels
+        self.hidden = nn.Linear(4 + len(still_axes(geometry)), channels)
+        self.out = nn.Linear(channels, channels)
+
+    def forward(self, points: Float[Tensor, "B P 3"]) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        """Return features, at least 0 and 0 in cells without points, and the mask of cells with points (0 or 1).
+
+        Points outside the grid or not finite are ignored.
+        """
+        cells, inside = self.geometry.flat_index(points)
+        cells = cells + torch.arange(len(points), device=points.device).unsqueeze(1) * self.geometry.num_cells
+        static = is_static()
+        points, places = (points.flatten(0, 1), cells.flatten()) if static else (points[inside], cells[inside])
+        encoded = F.relu(self.out(F.relu(self.hidden(point_features(points, self.geometry)))))
+        marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
+        if static:  # ignored points add zeros, which do not change the maximum
+            marked = torch.where(inside.flatten()[:, None], marked, 0)
+        volume = voxel_max(marked, places, len(inside) * self.geometry.num_cells)
+        volume = volume.reshape(len(inside), *self.geometry.shape, -1).movedim(-1, 1)
+        return volume[:, :-1], volume[:, -1:]
+
+
+def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K X Y Z 3"]:
+    """Return points spread evenly in every cell, `per_axis` of them along each axis; ego frame, metres."""
+    fractions = [[(index + 0.5) / count for index in range(count)] for count in per_axis]
+    return points_in_cells(geometry, list(product(*fractions)))
+
+
+class SamplePixels(NamedTuple):
+    """Row-major pixels in the directions of cells' samples, their distances, and whether the panorama covers them."""
+
+    pixel: Int64[Tensor, "K cells"]
+    distance_m: Float[Tensor, "K cells"]
+    inside: Bool[Tensor, "K cells"]
+
+
+def sample_pixels(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> SamplePixels:
+    """Look up the pixel in the direction of every sample."""
+    points = cell_samples(geometry, per_axis).flatten(1, 3)
+    pixels, inside = panorama.project(points)
+    column = pixels[..., 0].round().long().remainder(panorama.width)
+    row = pixels[..., 1].round().long().clamp(0, panorama.height - 1)
+    return SamplePixels(row * panorama.width + column, points.norm(dim=-1).float(), inside)
+
+
+def range_gaps(
+    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], samples: SamplePixels, step_m: float
+) -> Float[Tensor, "B 4 cells"]:
+    """Compare the distance of each cell's samples with the range seen in their direction.
+
+    Returns:
+        The fraction of samples whose direction has a valid range; then means over all samples, 0 for those without, of
+        the gap range - distance cut off at one step and at four, and of log(range / distance) cut off at 1. Positive is
+        in front of the seen surface: free. Around 0 is the surface. Negative is hidden behind it: unknown.
+    """
+    seen = range_m.float().flatten(1)[:, samples.pixel]
+    known = valid.flatten(1)[:, samples.pixel] & samples.inside
+    gap = torch.where(known, (seen - samples.distance_m) / step_m, 0)
+    ratio = torch.where(known, seen.clamp(min=1e-3) / samples.distance_m.clamp(min=1e-3), 1)
+    parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
+    return torch.stack([part.mean(1) for part in parts], dim=1)
+
+
+class RangeGaps(nn.Module):
+    """Compute the range gaps (see `range_gaps`) of every cell of a grid; no parameters.
+
+    Args:
+        panorama: of the ranges, around the ego origin.
+        samples: points of each cell along each axis.
+    """
+
+    pixel: Tensor
+    distance_m: Tensor
+    inside: Tensor
+
+    def __init__(self, geometry: Grid, panorama: Equirectangular, samples: Sequence[int]):
+        super().__init__()
+        self.geometry = geometry
+        pixels = sample_pixels(geometry, panorama, samples)
+        for name, tensor in pixels._asdict().items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def forward(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 4 X Y Z"]:
+        """Return the gaps from finite ranges (m) and where they are valid."""
+        pixels = SamplePixels(self.pixel, self.distance_m, self.inside)
+        gaps = range_gaps(range_m, valid, pixels, self.geometry.cell_m[0])
+        return gaps.unflatten(2, self.geometry.shape)
+
+
+class ConvNorm(nn.Module):
+    """Apply convolution, leaky ReLU and norm, in the order of Cylinder3D."""
+
+    def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
+        super().__init__()
+        self.conv = Conv3d(in_channels, out_channels, kernel, periodic)
+        self.norm = group_norm(out_channels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Return a volume of the same size."""
+        return self.norm(F.leaky_relu(self.conv(volume)))
+
+
+class Asymmetric(nn.Module):
+    """Apply an asymmetric residual block: the sum of kernels 3x1x3 then 1x3x3, and 1x3x3 then 3x1x3."""
+
+    def __init__(self, in_channels: int, out_channels: int, periodic: Periodic):
+        super().__init__()
+
+        def branch(first: Axes, second: Axes) -> nn.Sequential:
+            return nn.Sequential(
+                ConvNorm(in_channels, out_channels, first, periodic),
+                ConvNorm(out_channels, out_channels, second, periodic),
+            )
+
+        self.first = branch(ACROSS_SECOND, ACROSS_FIRST)
+        self.second = branch(ACROSS_FIRST, ACROSS_SECOND)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Return a volume of the same size."""
+        return self.first(volume) + self.second(volume)
+
+
+class Context(nn.Module):
+    """Weight the volume by the sum of three gates along one axis each (dimension-decomposed context)."""
+
+    def __init__(self, channels: int, periodic: Periodic):
+        super().__init__()
+        kernels: list[Axes] = [(3, 1, 1), (1, 3, 1), (1, 1, 3)]
+        self.convs = nn.ModuleList(Conv3d(channels, channels, kernel, periodic) for kernel in kernels)
+        self.norms = nn.ModuleList(group_norm(channels) for _ in kernels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
+        """Return a volume of the same size."""
+        gates = [norm(conv(volume)).sigmoid() for conv, norm in zip(self.convs, self.norms, strict=True)]
+        return volume * sum(gates[1:], gates[0])
+
+
+class Cylinder3D(nn.Module):
+    """Apply asymmetric blocks on a pyramid of halved grids, then context; wraps around on the grid's periodic axes.
+
+    In the manner of Cylinder3D (Zhu et al. 2021), on dense volumes: dense convolutions need no compiled library, and
+    can complete parts that the panorama does not see, which sparse ones on active sites cannot. The mask of cells with
+    points is an input.
+
+    Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
+
+    Args:
+        in_channels: of the input volume.
+        channels: of each level, finest first; multiples of 8.
+        out_channels: of the output volume.
+
+    Raises:
+        ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.
+    """
+
+    def __init__(self, geometry: Grid, in_channels: int, channels: list[int], out_channels: int):
+        super().__init__()
+        check_halvings(geometry, len(channels))
+        periodic = self.periodic = geometry.periodic
+        pairs = list(pairwise(channels))
+        self.stem = Asymmetric(in_channels, channels[0], periodic)
+        self.down = nn.ModuleList(Downsample(fine, coarse, periodic) for fine, coarse in pairs)
+        self.encoder = nn.ModuleList(Asymmetric(coarse, coarse, periodic) for _, coarse in pairs)
+        self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
+        self.decoder = nn.ModuleList(Asymmetric(fine, fine, periodic) for fine, _ in pairs[1:])
+        self.context = Context(channels[0], periodic)
+        self.out = Conv3d(2 * channels[0], out_channels, 3, periodic)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Return logits of every cell."""
+        # channels last: 3D convolutions run about a third faster on the CPU
+        volume = self.stem(volume.contiguous(memory_format=torch.channels_last_3d))
+        skips = []
+        for down, block in zip(self.down, self.encoder, strict=True):
+            skips.append(volume)
+            volume = down(volume)
+            volume = volume + block(volume)
+        for level in reversed(range(len(self.up))):
+            skip = skips.pop()
+            volume = skip + upsample(self.up[level](volume), skip.shape[2:], self.periodic)
+            if level:
+                volume = volume + self.decoder[level - 1](volume)
+        return self.out(torch.cat([self.context(volume), volume], dim=1))

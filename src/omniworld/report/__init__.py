@@ -1,1 +1,0 @@
-"""Pages and facts on rendered scenes."""
