@@ -303,6 +303,7 @@ def read_points(path: Path) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarra
     """
     rows = read_rows(path, 6)
     rows = rows[came_back(rows[:, :3])]
+    # 1.0 as float32 has the bits of 1,065,353,216: what is above 255 as uint32 was no tag of CARLA's
     tags, floats = rows[:, 5].copy().view("<u4"), rows[:, 5]
     if tags.max(initial=0) > 255:
         if not ((floats >= 0) & (floats <= 255) & (floats == np.round(floats))).all():

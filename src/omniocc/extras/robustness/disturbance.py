@@ -187,7 +187,7 @@ def draw_drops(seen: Bool[np.ndarray, "H W"], percent: float, rng: np.random.Gen
     while 100 * float((drops.cover[seen] > 0.5).mean()) < percent:
         radius = height * float(rng.uniform(*DROP))
         middle = (float(rng.uniform(0, width)), float(rng.uniform(0, height)))
-        window = _around(middle, 1.2 * radius, size)
+        window = _around(middle, 1.2 * radius, size)  # cuts the soft rim above and below, of 1.3 radii
         across, down = columns[window] - middle[0], 0.85 * (rows[window] - middle[1])  # a little taller than wide
         away = np.hypot(across, down) / radius
         inside = np.clip((1.1 - away) / 0.2, 0, 1)

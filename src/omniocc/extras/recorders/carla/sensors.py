@@ -156,7 +156,7 @@ def inverse_depth_of(pixels: UInt8[np.ndarray, "height width 4"]) -> Float32[np.
     """
     blue, green, red = (pixels[..., channel].astype(np.float64) for channel in range(3))
     depth_m = FAR_M * (red + 256 * green + 65536 * blue) / (2**24 - 1)
-    sky = depth_m > FAR_M * (1 - 1e-6)
+    sky = depth_m > FAR_M * (1 - 1e-6)  # the last 17 of 2^24 values
     return np.where(sky, 0, 1 / np.maximum(depth_m, 1e-3)).astype(np.float32)
 
 

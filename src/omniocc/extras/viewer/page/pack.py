@@ -81,7 +81,7 @@ STEPS = (64, 32, 16, 8, 4, 2, 1)
 LARGEST_ERROR_DEG = 0.04
 """Between an interpolated direction and the lens model's, over all pixels that the camera sees."""
 QUICK = 61
-"""A table is first tried on each so manieth pixel."""
+"""A table is first tried on each so manieth pixel; a prime, so that these are not in a few columns alone."""
 UNIT = 32767
 """Length of a direction in a table."""
 

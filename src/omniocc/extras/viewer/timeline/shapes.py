@@ -106,7 +106,7 @@ def camera_outline(rig: Rig, camera: int) -> list[np.ndarray]:
     middle = torch.tensor([(model.width - 1) / 2, (model.height - 1) / 2], dtype=torch.float64)
     fractions = torch.linspace(1, 0, 65, dtype=torch.float64)[:, None, None]
     rays, valid = model.unproject(middle + fractions * (edge - middle))
-    outermost = valid.to(torch.uint8).argmax(0)
+    outermost = valid.to(torch.uint8).argmax(0)  # the first of the largest: argmax takes no bool
     chosen = rays[outermost, torch.arange(len(edge))]
     start = ego_from_camera[:3, 3]
     border = (start + LENGTH_M * chosen @ ego_from_camera[:3, :3].T).numpy()
