@@ -16,7 +16,7 @@ from pathlib import Path
 
 from omniocc.data.origins import ORIGINS
 from omniocc.evaluate import Evaluation
-from omniocc.extras.robustness.command import score_robustness
+from omniocc.extras.robustness.evaluation import score_robustness
 from omniocc.extras.robustness.parts import UNSEEN, parts_of
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
 

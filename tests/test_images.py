@@ -294,7 +294,7 @@ OWN = {
     "omniocc/data/store/codec.py",
     "omniocc/data/augment/degrade.py",
     "omniocc/report/write.py",
-    "omniocc/extras/robustness/command.py",
+    "omniocc/extras/robustness/evaluation.py",
 }
 """Files that may decode images: the reader of users' files; what this program itself has written or holds in memory."""
 

@@ -17,7 +17,7 @@ from omniocc.extras.viewer.collect import open_shown
 from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.extras.viewer.options import ViewOptions
 from omniocc.extras.viewer.scenes import rig_at_sizes
-from omniocc.extras.viewer.timeline.show import show
+from omniocc.extras.viewer.timeline.log import show
 from omniocc.geometry import Cuboid, Cylinder, Grid
 
 GRIDS: dict[str, tuple[Grid, int]] = {

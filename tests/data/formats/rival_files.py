@@ -43,8 +43,9 @@ def turned(yaw_deg: float, place_m: tuple[float, float, float]) -> np.ndarray:
 
 
 PARKOCC_YAW_DEG = {"front": 0.0, "left": 90.0, "right": -90.0, "back": 180.0}
-PARKOCC_PLACES_M = {"front": (2.0, 0.0, -1.3), "left": (0.5, 1.0, -1.0), "right": (0.5, -1.0, -1.0),
-                    "back": (-2.0, 0.0, -1.2)}  # fmt: skip
+PARKOCC_PLACES_M = dict(
+    zip(PARKOCC_YAW_DEG, [(2.0, 0.0, -1.3), (0.5, 1.0, -1.0), (0.5, -1.0, -1.0), (-2.0, 0.0, -1.2)], strict=True)
+)
 
 
 def parkocc_rows() -> np.ndarray:
@@ -156,14 +157,20 @@ def write_quadocc(root: Path, sequences=("a", "b", "c"), frames=6) -> Path:
 
 
 FISHEYE3DOD_FOCAL_PX = 200.0
-FISHEYE3DOD_SENSORS = {  # yaw in CARLA (clockwise) and place on the car, x forward, y RIGHT, z up
-    "semantic_lidar": (0.0, (0.0, 0.0, 2.4)), "fisheye_camera_front": (0.0, (2.0, 0.0, 0.8)),
-    "fisheye_camera_left": (-90.0, (0.5, -1.0, 1.0)), "fisheye_camera_right": (90.0, (0.5, 1.0, 1.0)),
-    "fisheye_camera_rear": (180.0, (-2.0, 0.0, 0.9)), "nu_rgb_camera_front": (0.0, (1.5, 0.0, 1.5)),
-    "nu_rgb_camera_front_left": (-55.0, (1.3, -0.5, 1.5)), "nu_rgb_camera_front_right": (55.0, (1.3, 0.5, 1.5)),
-    "nu_rgb_camera_rear": (180.0, (0.0, 0.0, 1.5)), "nu_rgb_camera_rear_left": (-110.0, (1.0, -0.5, 1.5)),
-    "nu_rgb_camera_rear_right": (110.0, (1.0, 0.5, 1.5)),
-}  # fmt: skip
+FISHEYE3DOD_MOUNTED = """
+semantic_lidar              0  0.0  0.0 2.4
+fisheye_camera_front        0  2.0  0.0 0.8
+fisheye_camera_left       -90  0.5 -1.0 1.0
+fisheye_camera_right       90  0.5  1.0 1.0
+fisheye_camera_rear       180 -2.0  0.0 0.9
+nu_rgb_camera_front         0  1.5  0.0 1.5
+nu_rgb_camera_front_left  -55  1.3 -0.5 1.5
+nu_rgb_camera_front_right  55  1.3  0.5 1.5
+nu_rgb_camera_rear        180  0.0  0.0 1.5
+nu_rgb_camera_rear_left  -110  1.0 -0.5 1.5
+nu_rgb_camera_rear_right  110  1.0  0.5 1.5
+"""
+"""Of each sensor the yaw in CARLA (clockwise, degrees) and the place on the car, x forward, y RIGHT, z up, m."""
 WALL_M = 6.1
 
 
@@ -187,7 +194,8 @@ def write_fisheye3dod(root: Path, towns=("Town01_Opt", "Town02_Opt", "Town03"), 
     rows[:, 5] = tags if floats else tags.astype("<u4").view("<f4")
     for town in towns:
         folder = root / f"train-{town}-ClearNoon-2024_09_23_11_44_45" / "ego0"
-        for name, (yaw_deg, (x, y, z)) in FISHEYE3DOD_SENSORS.items():
+        for name, *numbers in map(str.split, FISHEYE3DOD_MOUNTED.strip().splitlines()):
+            yaw_deg, x, y, z = map(float, numbers)
             (folder / name).mkdir(parents=True)
             lines = []
             for k in range(frames):

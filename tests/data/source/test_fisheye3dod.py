@@ -1,4 +1,4 @@
-"""Fisheye3DOD: a small dataset in the layout that its code reads, literal values of poses, pixels, tags, split."""
+"""Fisheye3DOD: a small dataset in the layout that its code reads, and a literal pose of CARLA."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,14 @@ from rival_files import FISHEYE3DOD_FOCAL_PX, WALL_M, fisheye3dod_points, write_
 from omniocc.data import SceneSource
 from omniocc.data.source import SceneFrames
 from omniocc.errors import DataError, UserError
-from omniocc.extras.datasets.fisheye3dod import Fisheye3DOD, town_of
-from omniocc.extras.datasets.fisheye3dod_files import read_points, read_poses
+from omniocc.extras.datasets.fisheye3dod import Fisheye3DOD, read_points, read_poses
 from omniocc.geometry import Cuboid
 
 TOWNS = {"train": ["Town01"], "val": ["Town03"], "test": ["Town02"]}
 GRID = Cuboid((50, 50, 16), (-10, 10), (-10, 10), (-2.8, 3.6))
 ROAD, WALL, VEHICLE = 1, 5, 7
+POSE = "frame=7, x transform=Transform(Location(x=1.5, y=-0.7, z=1.6), Rotation(pitch=-10, yaw=35, roll=5))\n"
+METADATA = "sensor_metadata.txt"
 
 
 @pytest.fixture(scope="module")
@@ -31,50 +32,44 @@ def source_of(root, towns=TOWNS, width=80, **changes):
     return source
 
 
-def test_it_keeps_the_contracts_and_the_split_is_by_town(root):
+def test_a_small_dataset_is_read(root):
     source = source_of(root)
+    scene = source.scenes("train")[0]
     assert isinstance(source, SceneSource)
+    assert isinstance(scene, SceneFrames)
     names = {split: [scene.name for scene in source.scenes(split)] for split in TOWNS}
     assert names == {
         "train": ["train-Town01_Opt-ClearNoon-2024_09_23_11_44_45"],
         "val": ["train-Town03-ClearNoon-2024_09_23_11_44_45"],
         "test": ["train-Town02_Opt-ClearNoon-2024_09_23_11_44_45"],
     }
-    assert town_of("train-Town10HD_Opt-SoftRainNight-2024_10_23_19_27_27") == "Town10HD"
-    scene = source.scenes("test")[0]
-    assert isinstance(scene, SceneFrames)
     assert scene.numbers == [26981, 26986]  # 10 recorded a second, two taken
     assert source.spec.frame_interval_s == 0.5
+    assert source.fingerprint != source_of(root, accumulate=1).fingerprint
     assert [image.shape for image in scene.images(1)] == [(80, 80, 3)] * 4
     assert scene.images(1)[0].mean() == pytest.approx(100)
-    with pytest.raises(ValueError, match="every town in one of them"):
-        source_of(root, TOWNS | {"val": ["Town01"]})
-    with pytest.raises(ValueError, match="unseen: there is no mask"):
-        source.labels(GRID, "unseen")
-    assert source.fingerprint != source_of(root, accumulate=1).fingerprint
-
-
-def test_poses_are_the_mirror_image_of_carlas(root, tmp_path):
-    scene = source_of(root).scenes("train")[0]
     first, second = scene.world_from_ego
     assert first[:3, 3].tolist() == pytest.approx([100, -50, 2.4])
     ahead = np.array([np.cos(np.radians(30)), -np.sin(np.radians(30)), 0])  # to the right is towards -y
     assert first[:3, 0].tolist() == pytest.approx(ahead.tolist())
     assert (second[:3, 3] - first[:3, 3]).tolist() == pytest.approx((2.5 * ahead).tolist(), abs=1e-5)
-    line = "frame=7, x transform=Transform(Location(x=1.5, y=-0.7, z=1.6), Rotation(pitch=-10, yaw=35, roll=5))"
-    (tmp_path / "sensor_metadata.txt").write_text(line)
-    np.testing.assert_allclose(
-        read_poses(tmp_path)[7][:3],
-        ((0.8067073, 0.5837913, 0.0917125, 1.5), (-0.5648625, 0.8073542, -0.1706153, 0.7),
-         (-0.1736482, 0.0858316, 0.9810603, 1.6)), atol=1e-6,
-    )  # fmt: skip
+    cloud = scene.cloud(0)
+    points, tags = fisheye3dod_points()
+    own_car = (tags == 1) & (np.abs(points[:, :2]) <= (3, 1.2)).all(axis=1)
+    assert len(cloud.points_m) == len(points) - 1 - int(own_car.sum())
+    assert set(cloud.labels.tolist()) == {ROAD, WALL, VEHICLE, 255}
+    assert cloud.points_m[cloud.labels == WALL][:, 1] == pytest.approx(WALL_M)
+    ranges_m, labels = scene.camera_range_m(0)[1], scene.pixel_labels(0)[1]
+    assert ranges_m[labels == WALL].min() == pytest.approx(WALL_M - 1, abs=0.1)
+    assert set(np.unique(labels)) == {ROAD, WALL, 255}  # the car is to the right
 
 
-def test_a_frame_has_one_pose(tmp_path):
-    line = "frame=7, x transform=Transform(Location(x=1.5, y=-0.7, z=1.6), Rotation(pitch=-10, yaw=35, roll=5))\n"
-    (tmp_path / "sensor_metadata.txt").write_text(2 * line)
-    with pytest.raises(DataError, match=r"sensor_metadata\.txt: frame 7 stands twice"):
-        read_poses(tmp_path)
+def test_a_pose_is_the_mirror_image_of_carlas(tmp_path):
+    (tmp_path / METADATA).write_text(POSE)
+    expected = """ 0.8067073 0.5837913  0.0917125 1.5
+                  -0.5648625 0.8073542 -0.1706153 0.7
+                  -0.1736482 0.0858316  0.9810603 1.6"""
+    np.testing.assert_allclose(read_poses(tmp_path)[7][:3].ravel(), np.array(expected.split(), float), atol=1e-6)
 
 
 def test_a_point_has_the_pixels_of_both_kinds_of_cameras(root):
@@ -93,12 +88,8 @@ def test_a_point_has_the_pixels_of_both_kinds_of_cameras(root):
 def test_points_vote_and_what_moves_only_in_its_own_frame(root):
     source = source_of(root)
     scene = source.scenes("train")[0]
-    cloud = scene.cloud(0)
-    assert len(cloud.points_m) == len(fisheye3dod_points()[0]) - 1 - int((cloud_of_road_below()).sum())
-    assert set(cloud.labels.tolist()) == {ROAD, WALL, VEHICLE, 255}
-    assert cloud.points_m[cloud.labels == WALL][:, 1] == pytest.approx(WALL_M)
-    points = scene.points(1)  # its file is the last: three files vote
-    assert (points.labels == WALL).sum() == 3 * (cloud.labels == WALL).sum()
+    points, alone = scene.points(1), scene.cloud(0)  # the file of frame 1 is the last: three files vote
+    assert (points.labels == WALL).sum() == 3 * (alone.labels == WALL).sum()
     assert (points.labels == VEHICLE).sum() == 1
     assert points.points_m[points.labels == WALL][:, 1] == pytest.approx(WALL_M, abs=1e-4)
     assert points.points_m[points.labels == WALL][:, 0].min() == pytest.approx(-10, abs=1e-3)  # of the file 1 m behind
@@ -109,14 +100,6 @@ def test_points_vote_and_what_moves_only_in_its_own_frame(root):
     assert cells[42, 20, 3] == VEHICLE
     assert source.labels(GRID, "none").benchmark(scene, 1) is None
     assert (source.labels(GRID, "unobserved").read(scene, 1) == 255).any()
-    ranges_m, labels = scene.camera_range_m(0)[1], scene.pixel_labels(0)[1]
-    assert ranges_m[labels == WALL].min() == pytest.approx(WALL_M - 1, abs=0.1)
-    assert set(np.unique(labels)) == {ROAD, WALL, VEHICLE, 255} - {VEHICLE}  # the car is to the right
-
-
-def cloud_of_road_below():
-    points, tags = fisheye3dod_points()
-    return (tags == 1) & (np.abs(points[:, 0]) <= 3) & (np.abs(points[:, 1]) <= 1.2)
 
 
 def test_tags_are_read_as_carla_writes_them_or_as_floats(root, tmp_path):
@@ -127,44 +110,39 @@ def test_tags_are_read_as_carla_writes_them_or_as_floats(root, tmp_path):
     assert set(old.labels.tolist()) == {4, 10, 3, 255}  # the same numbers: building, pedestrian, ground
     right = source_of(root, y="right").scenes("train")[0].cloud(0)
     assert right.points_m[right.labels == WALL][:, 1] == pytest.approx(-WALL_M)
-    with pytest.raises(UserError, match="version is 'newest', which is no number"):
-        source_of(root, carla_version="newest")
     path = tmp_path / "points.bin"
-    path.write_bytes(np.full((3, 6), 0.5, "<f4").tobytes())
-    with pytest.raises(DataError, match=r"points\.bin: the last of the six numbers of a point is no tag"):
-        read_points(path)
-    ways = np.array(
-        [[0, 0, 0], [np.nan, 1, 1], [5, 4, 3]], "<f4"
-    )  # two rays that did not come back, whatever their tag
-    rows = np.column_stack([ways, np.zeros((3, 2), "<f4"), np.array([3.5, np.nan, 14], "<f4")]).astype("<f4")
+    # the first two rays did not come back, whatever their tag
+    rows = np.array([[0, 0, 0, 0, 0, 3.5], [np.nan, 1, 1, 0, 0, np.nan], [5, 4, 3, 0, 0, 14]], "<f4")
     path.write_bytes(rows.tobytes())
     points_m, tags = read_points(path)
-    assert points_m.tolist() == [[5, 4, 3]]
-    assert tags.tolist() == [14]
+    assert (points_m.tolist(), tags.tolist()) == ([[5, 4, 3]], [14])
 
 
 FOLDER = "train-Town01_Opt-ClearNoon-2024_09_23_11_44_45/ego0"
+SCAN, POSES, LEFT = "semantic_lidar/00026981.bin", f"semantic_lidar/{METADATA}", "fisheye_camera_left"
 
 
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
-        ("calib_results.txt", "1 2\n", r"calib_results\.txt: 1 lines of numbers"),
-        (f"{FOLDER}/semantic_lidar/sensor_metadata.txt", "nothing", "there is no 'frame=..., ... Transform"),
-        (
-            f"{FOLDER}/semantic_lidar/00026981.bin",
-            "12345",
-            r"Fisheye3DOD, scene 'train-Town01_Opt.*', frame 0: .*5 bytes",
-        ),
-        (f"{FOLDER}/semantic_lidar/00026981.bin", "", r"frame 0: .*00026981\.bin: the file is empty; copy it again"),
-        (f"{FOLDER}/fisheye_camera_left/00026981.png", "no", r"frame 0: .*00026981\.png: the file is no image"),
+        ("../../calib_results.txt", b"1 2\n", r"calib_results\.txt: 1 lines of numbers"),
+        ("../../calib_results.txt", None, r"calib_results\.txt not found"),
+        (POSES, b"nothing", "there is no 'frame=..., ... Transform"),
+        (POSES, 2 * POSE.encode(), r"sensor_metadata\.txt: frame 7 stands twice"),
+        (POSES, POSE.encode(), r"sensor_metadata\.txt: it has no pose of frame 26981"),
+        (f"{LEFT}/{METADATA}", POSE.encode(), r"fisheye_camera_left.*: it has no pose of frame 26981"),
+        (SCAN, b"12345", r"Fisheye3DOD, scene 'train-Town01_Opt.*', frame 0: .*5 bytes"),
+        (SCAN, b"", r"frame 0: .*00026981\.bin: the file is empty; copy it again"),
+        (SCAN, None, r"semantic_lidar: there are no files such as 00026981\.bin"),
+        (SCAN, np.full((3, 6), 0.5, "<f4").tobytes(), r"\.bin: the last of the six numbers of a point is no tag"),
+        (f"{LEFT}/00026981.png", b"no", r"frame 0: .*00026981\.png: the file is no image"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
-    root = write_fisheye3dod(tmp_path, frames=1)
-    (root / file).write_text(content)
+    path = write_fisheye3dod(tmp_path, frames=1) / FOLDER / file
+    path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(DataError, match=message):
-        read_all(root)
+        read_all(tmp_path)
 
 
 def read_all(root):
@@ -172,8 +150,20 @@ def read_all(root):
     return scene.rigs[0], scene.images(0), scene.points(0)
 
 
-def test_a_town_that_is_not_there_is_named(root, tmp_path):
-    with pytest.raises(DataError, match=r"no recording of Town07 is there, only of Town01, Town02, Town03; set data"):
-        source_of(root, TOWNS | {"test": ["Town07"]})
-    with pytest.raises(DataError, match=r"calib_results\.txt not found"):
-        source_of(tmp_path)
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        (
+            {"towns": TOWNS | {"test": ["Town07"]}},
+            DataError,
+            "no recording of Town07 is there, only of Town01, ",
+        ),
+        ({"towns": TOWNS | {"val": ["Town01"]}}, ValueError, "every town in one of them"),
+        ({"views": "all"}, ValueError, "views must be of fisheye, pinhole and y left or right, got all and left"),
+        ({"frame_step": 0}, ValueError, "frame_step 1 and accumulate 0, got 80, 0 and 2"),
+        ({"carla_version": "newest"}, UserError, "version is 'newest', which is no number"),
+    ],
+)
+def test_impossible_options_are_named(root, options, error, message):
+    with pytest.raises(error, match=message):
+        source_of(root, **options)

@@ -105,9 +105,11 @@ def test_points_of_the_velodyne_are_seen_where_the_devkit_projects_them(root, ki
     pixels, valid = rig.project(points)
     # u0 = 716.94 px; expected from kitti360scripts with p1, p2
     for camera, point, pixel in (
-        (1, 0, (1314.270533, 786.921482)), (1, 1, (1037.877169, 722.175870)), (2, 2, (383.667197, 715.291003)),
+        (1, 0, (1314.270533, 786.921482)),
+        (1, 1, (1037.877169, 722.175870)),
+        (2, 2, (383.667197, 715.291003)),
         (1, 3, (300.912238, 790.311115)),
-    ):  # fmt: skip
+    ):
         assert valid[camera, point]
         assert pixels[camera, point].tolist() == pytest.approx(pixel, abs=0.02)
     front = rig.cameras[0].resized(1408, 376)

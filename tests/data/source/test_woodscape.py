@@ -62,9 +62,13 @@ def test_pixels_keep_their_classes(root):
 
 @pytest.mark.parametrize(
     ("point", "pixel"),
-    [((10, 0, 0), (646.294176560, 378.005483800)), ((6, 3, 0), (332.433940366, 447.384901505)),
-     ((5, -2, 1), (1019.310281954, 330.536775993)), ((3.8, 4, 1.5), (27.054525332, 353.616359115))],
-)  # fmt: skip
+    [
+        ((10, 0, 0), (646.294176560, 378.005483800)),
+        ((6, 3, 0), (332.433940366, 447.384901505)),
+        ((5, -2, 1), (1019.310281954, 330.536775993)),
+        ((3.8, 4, 1.5), (27.054525332, 353.616359115)),
+    ],
+)
 @pytest.mark.parametrize("where", ["written", "real"])
 def test_the_front_camera_sees_points_where_the_devkit_does(request, tmp_path, where, point, pixel):
     path = tmp_path / "front.json"
@@ -84,22 +88,25 @@ def test_the_ego_origin_is_above_the_road(root):
     assert rig.road_z_m == -ORIGIN_M[2]
 
 
+CALIBRATION, IMAGE = "calibration/00000_FV.json", "rgb_images/00000_FV.png"
+DOT = cv2.imencode(".png", np.zeros((1, 1, 3), np.uint8))[1].tobytes()
+LEFT_HANDED = json.dumps(FRONT).replace("translation", "translation used in CARLA").encode()
+UNDERSCORE = json.dumps(FRONT | {"intrinsic": FRONT["intrinsic"] | {"k1": "3_39.7"}}).encode()
+
+
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
-        ("calibration/00000_FV.json", b"{}", r"scene '00000_FV', frame 0: .*the key 'intrinsic' is missing"),
-        ("calibration/00000_FV.json", b"{", r"00000_FV\.json: "),
-        ("calibration/00000_FV.json", json.dumps(FRONT).replace("0.5941", "9").encode(), r"extrinsic: .* are no pose"),
-        ("calibration/00000_FV.json", json.dumps(FRONT).replace("translation", "translation used in CARLA").encode(),
-         "left-handed"),
-        ("calibration/00000_FV.json", json.dumps(FRONT | {"intrinsic": FRONT["intrinsic"] | {"k1": "3_39.7"}}).encode(),
-         r"00000_FV\.json: '3_39\.7' is no finite number"),
-        ("rgb_images/00000_FV.png", cv2.imencode(".png", np.zeros((1, 1, 3), np.uint8))[1].tobytes(),
-         r"frame 0: .*00000_FV\.png: the image has 1x1 px"),
-        ("rgb_images/00000_FV.png", b"no", r"frame 0: .*00000_FV\.png: the file is no image"),
+        (CALIBRATION, b"{}", r"scene '00000_FV', frame 0: .*the key 'intrinsic' is missing"),
+        (CALIBRATION, b"{", r"00000_FV\.json: "),
+        (CALIBRATION, json.dumps(FRONT).replace("0.5941", "9").encode(), r"extrinsic: .* are no pose"),
+        (CALIBRATION, LEFT_HANDED, "left-handed"),
+        (CALIBRATION, UNDERSCORE, r"00000_FV\.json: '3_39\.7' is no finite number"),
+        (IMAGE, DOT, r"frame 0: .*00000_FV\.png: the image has 1x1 px"),
+        (IMAGE, b"no", r"frame 0: .*00000_FV\.png: the file is no image"),
         ("semantic_annotations/gtLabels/00000_FV.png", b"", r"00000_FV\.png: the file is no image"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
     root = write_woodscape(tmp_path)
     (root / file).write_bytes(content)

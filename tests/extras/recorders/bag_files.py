@@ -59,15 +59,12 @@ class BagWriter:
         return bytes(serialize(self.make(kind, **fields), kind))
 
     def transforms(self, topic: str, received_ns: int, poses: list[tuple[str, str, np.ndarray]]) -> None:
-        stamped = [
-            self.make(
-                "geometry_msgs/msg/TransformStamped", header=self.header(received_ns, parent), child_frame_id=child,
-                transform=self.make(
-                    "geometry_msgs/msg/Transform", translation=self.vector("Vector3", pose), rotation=self.turn(pose)
-                ),
-            )
-            for parent, child, pose in poses
-        ]  # fmt: skip
+        stamped = []
+        for parent, child, pose in poses:
+            place, turn = self.vector("Vector3", pose), self.turn(pose)
+            moved = self.make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+            fields = {"header": self.header(received_ns, parent), "child_frame_id": child, "transform": moved}
+            stamped.append(self.make("geometry_msgs/msg/TransformStamped", **fields))
         self.write(topic, "tf2_msgs/msg/TFMessage", received_ns, transforms=stamped)
 
     def vector(self, kind: str, pose: np.ndarray) -> Any:
@@ -104,14 +101,13 @@ def write_odometry(bag: BagWriter, now: int, pose: np.ndarray) -> None:
     covariance = np.zeros(36)
     zero = bag.vector("Vector3", np.zeros((4, 4)))
     posed = bag.make("geometry_msgs/msg/Pose", position=bag.vector("Point", pose), orientation=bag.turn(pose))
-    bag.write(
-        "/odometry", "nav_msgs/msg/Odometry", now, header=bag.header(now, "map"), child_frame_id="base_link",
-        pose=bag.make("geometry_msgs/msg/PoseWithCovariance", pose=posed, covariance=covariance),
-        twist=bag.make(
-            "geometry_msgs/msg/TwistWithCovariance", covariance=covariance,
-            twist=bag.make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
-        ),
-    )  # fmt: skip
+    speed = bag.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+    fields = {
+        "pose": bag.make("geometry_msgs/msg/PoseWithCovariance", pose=posed, covariance=covariance),
+        "twist": bag.make("geometry_msgs/msg/TwistWithCovariance", twist=speed, covariance=covariance),
+    }
+    header = bag.header(now, "map")
+    bag.write("/odometry", "nav_msgs/msg/Odometry", now, header=header, child_frame_id="base_link", **fields)
 
 
 def write_image(bag: BagWriter, name: str, now: int, image: np.ndarray) -> None:
@@ -123,10 +119,8 @@ def write_image(bag: BagWriter, name: str, now: int, image: np.ndarray) -> None:
         kind, fields = "sensor_msgs/msg/CompressedImage", {"format": "bgr8; png compressed", "data": content}
     else:
         rows = np.concatenate([bgr.reshape(height, -1), np.zeros((height, 4), np.uint8)], axis=1)
-        kind, fields = "sensor_msgs/msg/Image", {
-            "height": height, "width": width, "encoding": "bgr8", "is_bigendian": 0, "step": rows.shape[1],
-            "data": rows.reshape(-1),
-        }  # fmt: skip
+        kind, fields = "sensor_msgs/msg/Image", {"height": height, "width": width, "encoding": "bgr8"}
+        fields |= {"is_bigendian": 0, "step": rows.shape[1], "data": rows.reshape(-1)}
     bag.write(f"/{name}/image", kind, now + 20_000_000, header=bag.header(now, name), **fields)
 
 
@@ -137,18 +131,16 @@ def write_points(bag: BagWriter, now: int, points: np.ndarray, labels: np.ndarra
         bag.make("sensor_msgs/msg/PointField", name=name, offset=table.dtype.fields[name][1], datatype=kind, count=1)
         for name, kind in kinds.items()
     ]
-    bag.write(
-        "/points", "sensor_msgs/msg/PointCloud2", now, header=bag.header(now, "lidar"), height=1, width=len(table),
-        fields=fields, is_bigendian=False, point_step=table.itemsize, row_step=table.nbytes,
-        data=np.frombuffer(table.tobytes(), np.uint8), is_dense=True,
-    )  # fmt: skip
+    sizes = {"height": 1, "width": len(table), "point_step": table.itemsize, "row_step": table.nbytes}
+    content = {"fields": fields, "is_bigendian": False, "is_dense": True}
+    content |= sizes | {"data": np.frombuffer(table.tobytes(), np.uint8)}
+    bag.write("/points", "sensor_msgs/msg/PointCloud2", now, header=bag.header(now, "lidar"), **content)
 
 
 def write_info(bag: BagWriter, name: str, now: int, model: str, size: tuple[int, int], k: list, d: list) -> None:
     roi = bag.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     numbers = {"d": np.array(d, float), "k": np.array(k, float), "r": np.eye(3).ravel(), "p": np.zeros(12)}
     named = {key.upper() if bag.ros == 1 else key: value for key, value in numbers.items()}
-    bag.write(
-        f"/{name}/camera_info", "sensor_msgs/msg/CameraInfo", now, header=bag.header(now, name), height=size[1],
-        width=size[0], distortion_model=model, binning_x=0, binning_y=0, roi=roi, **named,
-    )  # fmt: skip
+    named |= {"width": size[0], "height": size[1], "distortion_model": model, "binning_x": 0, "binning_y": 0}
+    header = bag.header(now, name)
+    bag.write(f"/{name}/camera_info", "sensor_msgs/msg/CameraInfo", now, header=header, roi=roi, **named)

@@ -110,8 +110,8 @@ def test_cameras_from_camera_info(original, tmp_path, ros):
             bag.transforms("/tf", now, [("odom", "base_link", np.eye(4))])
             for name in ("front", "rear"):
                 write_image(bag, name, now, original.images(0)[0])
-        write_info(bag, "front", START_NS, "equidistant", (64, 36), K, [0.01, 0.02, -0.01, 0.001])
-        write_info(bag, "rear", START_NS, "plumb_bob", (64, 36), K, [0.0] * 5)
+        write_info(bag, "front", START_NS, "equidistant", (64, 36), K, d=[0.01, 0.02, -0.01, 0.001])
+        write_info(bag, "rear", START_NS, "plumb_bob", (64, 36), K, d=[0.0] * 5)
     cameras = "cameras={front: /front/image, rear: /rear/image}"
     infos = "camera_info={front: /front/camera_info, rear: /rear/camera_info}"
     made = built("bag", "name=train-000-bag", f"bag={path}", cameras, infos, "road_z_m=-2.0")
@@ -136,10 +136,8 @@ def cloud(fields, rows):
     """Return a PointCloud2 of float32 fields: name, offset and type of each."""
     made = [SimpleNamespace(name=name, offset=at, datatype=kind, count=1) for name, at, kind in fields]
     data = np.array(rows, "<f4")
-    return SimpleNamespace(
-        fields=made, is_bigendian=False, point_step=data.strides[0], row_step=data.nbytes, width=len(data), height=1,
-        data=data.tobytes(),
-    )  # fmt: skip
+    sizes = {"point_step": data.strides[0], "row_step": data.nbytes, "width": len(data), "height": 1}
+    return SimpleNamespace(fields=made, is_bigendian=False, data=data.tobytes(), **sizes)
 
 
 def test_rays_of_a_bag_that_did_not_come_back_are_no_points():

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders import bag_reader
 from omniocc.extras.recorders.bag import IMAGES, Bag
-from omniocc.extras.recorders.transforms import FrameTree
+from omniocc.extras.recorders.messages import FrameTree
 
 PIXELS = np.arange(64 * 36 * 3, dtype=np.uint8).reshape(36, 64, 3)
 TOPIC = "/rear/image"

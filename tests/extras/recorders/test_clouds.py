@@ -213,7 +213,7 @@ ORDERS = {
     "intensity\nproperty float y\nproperty float x\nend_header\n",
     "binary.ply": "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty uint label\nproperty float z\n"
     "property float intensity\nproperty float y\nproperty float x\nend_header\n",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ORDERS)

@@ -123,7 +123,7 @@ def test_scans_beside_sparse_poses_lose_no_frame():
     poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
     scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES)
     rig = Rig.load("fisheye6")
-    log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans, {})
+    log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans=scans, facts={})
     plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
     assert len(plan.times_s) == 3
     np.testing.assert_allclose(plan.ego_from_scan[:, 0, 3], 0.025, atol=1e-9)  # at 5 m/s, beyond the last pose too

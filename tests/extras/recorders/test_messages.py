@@ -23,10 +23,8 @@ def raw(encoding, pixels, is_bigendian=0, step=None):
     height, width = pixels.shape[:2]
     rows = np.frombuffer(pixels.tobytes(), np.uint8).reshape(height, -1)
     padded = np.concatenate([rows, np.full((height, 6), 77, np.uint8)], axis=1)
-    return SimpleNamespace(
-        encoding=encoding, height=height, width=width, is_bigendian=is_bigendian, step=step or padded.shape[1],
-        data=padded.reshape(-1),
-    )  # fmt: skip
+    size = {"height": height, "width": width, "step": step or padded.shape[1]}
+    return SimpleNamespace(encoding=encoding, is_bigendian=is_bigendian, data=padded.reshape(-1), **size)
 
 
 def compressed(content, kind="png"):

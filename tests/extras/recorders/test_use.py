@@ -31,10 +31,8 @@ def test_a_scene_without_labels_is_predicted(recorder, composed, smoke, spec, tm
 
 
 def data_of(smoke, root, classes):
-    cfg = smoke(
-        "data=recorded", f"data.source.root={root}", f"data.num_classes={classes}", "data.source.workers=0",
-        "data.source.splits={train: [train-*], val: [], test: []}",
-    )  # fmt: skip
+    splits, number = "data.source.splits={train: [train-*], val: [], test: []}", f"data.num_classes={classes}"
+    cfg = smoke("data=recorded", f"data.source.root={root}", number, "data.source.workers=0", splits)
     check_root(cfg)
     return cfg, build(cfg.data)
 
@@ -53,7 +51,7 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     model = build(cfg.depth)
     recipe = build(cfg.stages.depth)
     spheres = model.rig_spheres(batch.rigs[0][0])
-    task = DepthTask(model, recipe.optimizer, spheres, data.source.spec.range_edges_m, 0, plain(cfg), None)
+    task = DepthTask(model, recipe.optimizer, spheres, data.source.spec.range_edges_m, 0, plain(cfg), appearance=None)
     loss = task.training_step(batch, 0)
     loss.backward()
     assert torch.isfinite(loss)

@@ -1,9 +1,10 @@
 """Fisheye3DOD as a source: four fisheyes and six pinholes on one car in CARLA; voxels voted by its semantic LiDAR.
 
-Format: `omniocc.extras.datasets.fisheye3dod_files`. No real file of it has been read here, and no
-code of the authors reads the semantic LiDAR.
+Format: utils/fisheye3dod_calib.py and dataset/loading.py of https://github.com/weiyangdaren/Fisheye3DOD. No real file
+of it has been read here, and no code of the authors reads the semantic LiDAR.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,18 +16,19 @@ from jaxtyping import Float32, Float64, UInt8
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, WORLD_CLASSES
+from omniocc.data.formats.clouds import came_back, read_rows
 from omniocc.data.formats.dataset_scene import Cloud, DatasetScene, outside
-from omniocc.data.formats.files import check_root, read_image, scaled_size
+from omniocc.data.formats.files import check_root, read_image, read_text, scaled_size
 from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.data.labels.own_grid import VotedLabels
 from omniocc.data.source import SPLITS, Ignore, Points, SourceSpec, Split, refuse_unseen
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.extras.carla_tags import class_table, tags_of
-from omniocc.extras.datasets.fisheye3dod_files import METADATA, read_points, read_poses
 from omniocc.extras.datasets.ocam import read_ocam
-from omniocc.extras.unreal import SENSOR_FROM_OPTICAL, right_handed_points
+from omniocc.extras.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed_points
 from omniocc.geometry import Grid
+from omniocc.io import number_of
 
 LIDAR = "semantic_lidar"
 VIEWS = {
@@ -50,6 +52,12 @@ OWN_CAR_M = ((-3.0, -1.2, -3.0), (3.0, 1.2, 0.3))
 MOVING = tuple(WORLD_CLASSES.names.index(name) for name in ("Vehicle", "Pedestrian"))
 """Classes that vote for the voxels of their own frame alone."""
 FRAMES_PER_S = 10.0
+METADATA = "sensor_metadata.txt"
+NUMBER = r"([-+.\deE]+)"
+TRANSFORM = re.compile(
+    rf"frame=(\d+),.*?Transform\(Location\(x={NUMBER},\s*y={NUMBER},\s*z={NUMBER}\),\s*"
+    rf"Rotation\(pitch={NUMBER},\s*yaw={NUMBER},\s*roll={NUMBER}\)\)"
+)
 
 
 class Fisheye3DOD:
@@ -258,3 +266,47 @@ class Fisheye3DODScene(DatasetScene):
 def town_of(recording: str) -> str:
     """Return the town in the name of a recording: 'Town01' of 'train-Town01_Opt-ClearNoon-2024_09_23_11_44_45'."""
     return recording.split("-")[1].removesuffix("_Opt")
+
+
+def read_poses(folder: Path) -> dict[int, Float64[np.ndarray, "4 4"]]:
+    """Return world_from_sensor of every frame in a sensor's `sensor_metadata.txt`, by number.
+
+    All frames have x forward, y left, z up: they are the mirror images of CARLA's, whose y points right. (The dataset's
+    own code turns pitch and roll the other way, which shows where a car does not stand level.)
+
+    Raises:
+        DataError: if the file is missing or has no pose.
+    """
+    path = folder / METADATA
+    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    for frame, *values in TRANSFORM.findall(read_text(path, "unpack the whole recording")):
+        if int(frame) in poses:
+            raise DataError(f"{path}: frame {frame} stands twice; keep one")
+        try:
+            poses[int(frame)] = pose_of(UnrealPose(*map(number_of, values)))
+        except ValueError as error:
+            raise DataError(f"{path}: frame {frame}: {error}") from error
+    if not poses:
+        raise DataError(f"{path}: there is no 'frame=..., ... Transform(Location(...), Rotation(...))' in it")
+    return poses
+
+
+def read_points(path: Path) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarray, " P"]]:
+    """Return points (m) and CARLA's tags of a file with six numbers for each ray: x, y, z, cosine, object, tag.
+
+    Rays that did not come back are left out.
+    The dataset's code does not say how these are stored. Tags are read as CARLA writes them (uint32) or as float32,
+    whichever the file can be.
+
+    Raises:
+        DataError: if the file is missing or damaged, or its last numbers are no tags.
+    """
+    rows = read_rows(path, 6)
+    rows = rows[came_back(rows[:, :3])]
+    # 1.0 as float32 has the bits of 1,065,353,216: what is above 255 as uint32 was no tag of CARLA's
+    tags, floats = rows[:, 5].copy().view("<u4"), rows[:, 5]
+    if tags.max(initial=0) > 255:
+        if not ((floats >= 0) & (floats <= 255) & (floats == np.round(floats))).all():
+            raise DataError(f"{path}: the last of the six numbers of a point is no tag of 0 to 255 for all points")
+        tags = floats
+    return rows[:, :3], tags.astype(np.uint8)

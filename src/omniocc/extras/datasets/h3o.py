@@ -231,6 +231,7 @@ class H3OScene(OwnGridScene):
         with self.naming(frame):
             range_m = read_range(folder / f"{self.numbers[frame]}.npy")
         height, width = range_m.shape
+        # nearest: the mean of two ranges beside an edge is on neither surface
         pixels, _ = Equirectangular(width, height, 90.0, -90.0).project(wanted.rays())
         columns, rows = pixels.round().long().unbind(-1)
         return range_m[rows.clamp(0, height - 1).numpy(), columns.clamp(0, width - 1).numpy()]

@@ -175,6 +175,7 @@ def read_calibration(path: Path) -> tuple[RadialPolynomial, np.ndarray]:
         if "translation" not in place:
             raise ValueError("extrinsic has no translation; SynWoodScape's left-handed calibrations are not supported")
         width, height = (int(number_of(str(lens[side]))) for side in ("width", "height"))
+        # the offsets are from the middle of the image, which is at (width - 1) / 2 where pixel centres are integers
         center = (lens["cx_offset"] + width / 2 - 0.5, lens["cy_offset"] + height / 2 - 0.5)
         radii = tuple(number_of(str(lens[f"k{k}"])) for k in range(1, 5))
         camera = RadialPolynomial(width, height, radii, center, number_of(str(lens["aspect_ratio"])), LENS_DEG)

@@ -17,9 +17,8 @@ from omniocc.extras.recorders.files import ego_points, lidar_options, plain_opti
 from omniocc.extras.recorders.labels import read_point_classes
 from omniocc.extras.recorders.log import Log, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, Stated
-from omniocc.extras.recorders.messages import camera_of, cloud_of, image_of, pose_of, stamp_s
+from omniocc.extras.recorders.messages import FrameTree, camera_of, cloud_of, image_of, pose_of, stamp_s, timed
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
-from omniocc.extras.recorders.transforms import FrameTree, timed
 from omniocc.images import Depth
 
 LIDAR_KEYS = {"topic": ..., "ego_from_lidar": None, "classes": None, "label_field": None, "own_car_m": None}

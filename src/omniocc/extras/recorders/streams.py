@@ -80,7 +80,7 @@ def interpolate(
         return result, known
     first = (np.searchsorted(times_s, at_s, side="right") - 1).clip(0, len(times_s) - 2)
     step_s = times_s[first + 1] - times_s[first]
-    part = (at_s - times_s[first]) / step_s
+    part = (at_s - times_s[first]) / step_s  # below 0 and above 1 where the motion is continued beyond the ends
     on_stamp = (part == 0) | (part == 1)
     known &= (step_s <= most_s) | on_stamp
     turn = Rotation.from_matrix((inverse(poses[first]) @ poses[first + 1])[:, :3, :3]).as_rotvec()

@@ -77,7 +77,7 @@ class CoarseToFine(nn.Module):
         self.splat = LiftSplat(grids[0], in_channels, in_channels, levels, bins, range_m)
         self.reach_m = self.splat.reach_m
         self.colorings = nn.ModuleList(
-            Coloring(grid, in_channels, levels, depth, heads, samples, feedforward_channels)
+            Coloring(grid, in_channels, levels, depth, heads, samples, feedforward_channels=feedforward_channels)
             for grid, depth, samples in zip(grids, layers, points, strict=True)
         )
         self.mixers = nn.ModuleList(residual3d(in_channels, geometry.periodic) for _ in most)
@@ -100,6 +100,7 @@ class CoarseToFine(nn.Module):
             volume = self.mixers[scale](self._lifted(scale, features, there, rigs, start))
             logits = self.classifiers[scale](volume)
             coarse.append(CoarseLogits(self.sides[scale], logits))
+            # which cells are split has no gradient; the classifier learns from its logits alone
             split = cells_to_split(logits.detach(), there, self.threshold, fraction)
             there = repeat_blocks(split.unsqueeze(1), HALF).squeeze(1)
             start = repeat_blocks(self.parts[scale](volume), HALF)
@@ -127,6 +128,7 @@ def cells_to_split(
     occupied = (1 - logits.float().softmax(1)[:, FREE]).flatten(1)
     eligible = there.flatten(1) & (occupied >= threshold)
     count = math.ceil(most * occupied.shape[1])
+    # -1 is below every probability, so others fill up the count only where too few are eligible; `&` drops them again
     likeliest = occupied.masked_fill(~eligible, -1).topk(count, dim=1).indices
     chosen = torch.zeros_like(eligible).scatter(1, likeliest, torch.ones_like(eligible))
     return (chosen & eligible).view_as(there)

@@ -43,6 +43,7 @@ class Focus(nn.Module):
         self.periodic, self.channels = geometry.periodic, channels[0]
         self.lengths = Conv3d(self.channels, DIRECTIONS, 3, self.periodic)
         assert self.lengths.bias is not None
+        # the sigmoid of this bias is FIRST_LENGTH
         nn.init.constant_(self.lengths.bias, math.log(FIRST_LENGTH / (1 - FIRST_LENGTH)))
         self.attention = EndAttention(self.channels, self.periodic)
 
@@ -77,6 +78,7 @@ class EndAttention(nn.Module):
         self, volume: Float[Tensor, "B C X Y Z"], lengths: Float[Tensor, "B 6 X Y Z"]
     ) -> Float[Tensor, "B C X Y Z"]:
         """Return features of the same shape, none negative."""
+        # bfloat16 has 8 significant bits: from cell 64 on it would round positions to half cells
         with torch.autocast(volume.device.type, enabled=False):
             wide = volume.to(torch.promote_types(volume.dtype, torch.float32))
             own = wide.movedim(1, -1)

@@ -57,9 +57,10 @@ class Frustums(nn.Module):
             predicted, counted = (self._sums(part) for part in (probability, true))
             size = counted.sum(1, keepdim=True).clamp(min=1)
             fractions, guesses = counted / size, predicted / size
+            # a fraction of 0 counts for nothing, but 0 * log(0) would be nan
             tiny = torch.finfo(torch.float32).tiny
             divergence = (fractions * (fractions.clamp(min=tiny).log() - guesses.clamp(min=tiny).log())).sum(1)
-            filled = counted.sum(1) > 0.5
+            filled = counted.sum(1) > 0.5  # counts are whole numbers as floats
             return (divergence * filled).sum() / filled.sum().clamp(min=1)
 
     def _sums(self, cells: Float32[Tensor, "B C cells"]) -> Float32[Tensor, "B C frustums"]:

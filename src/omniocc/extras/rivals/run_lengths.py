@@ -18,6 +18,7 @@ def run_lengths(labels: UInt8[Tensor, "B X Y Z"], axis: int, wraps: bool) -> Int
     changes = labels != labels.roll(-1, dim)
     if not wraps:
         changes.narrow(dim, cells - 1, 1).fill_(True)
+    # on a ring a run may end in the second turn; the smallest place of a change from here on is its end
     turns = 2 if wraps else 1
     place = torch.arange(turns * cells, device=labels.device).view([-1 if other == dim else 1 for other in range(4)])
     beyond = turns * cells - 1

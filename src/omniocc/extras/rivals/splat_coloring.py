@@ -63,7 +63,9 @@ class SplatColoring(nn.Module):
         self.splat = LiftSplat(geometry, in_channels, channels, levels, bins, range_m)
         self.reach_m = self.splat.reach_m
         self.query = Pointwise(channels, in_channels)
-        self.coloring = Coloring(grid, in_channels, levels, layers, heads, points, feedforward_channels)
+        self.coloring = Coloring(
+            grid, in_channels, levels, layers, heads, points, feedforward_channels=feedforward_channels
+        )
         self.found = Pointwise(in_channels, channels)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:

@@ -6,27 +6,37 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import torch
 from omegaconf import OmegaConf
 from torch.utils.data import DataLoader
 
-from omniocc.config import plain
+from omniocc.config import compose_config, plain
 from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
 from omniocc.data.module import worker_options
 from omniocc.data.source import MadeScenes, SceneFrames
-from omniocc.errors import UserError
-from omniocc.evaluate import system_of
-from omniocc.extras.robustness.disturb.disturbed_scene import disturb_scene
+from omniocc.errors import UserError, installing
+from omniocc.evaluate import Evaluation, each, folder_of, opened, system_of
+from omniocc.extras.robustness.disturbance import disturb_scene
 from omniocc.extras.robustness.parts import NO_UNSEEN, VERSION, Part, chosen, parts_of
+from omniocc.io import atomic_write
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
 from omniocc.progress import Progress
+from omniocc.report.tables.formats import parts_text
+from omniocc.report.tables.robustness import report_parts, robustness_csv
 from omniocc.runs.checkpoint import Checkpoint
 from omniocc.runs.folder import command_line, git_commit, short_hash
-from omniocc.runs.robustness import WITHIN, PartScores, Robustness, load_part, save_part
+from omniocc.runs.robustness import FOLDER, WITHIN, PartScores, Robustness, load_part, save_part, save_robustness
+from omniocc.runs.table import in_columns
+from omniocc.runs.trust import CONF
+from omniocc.runs.wandb import Loggers
+from omniocc.runs.wandb.loggers import log_robustness
 from omniocc.runs.weights import digest_of
 from omniocc.train.occupancy import OccupancyTask, predictions
 from omniocc.train.scores import Scores
@@ -221,7 +231,7 @@ class RobustnessTest:
             advance()
         scores, without = with_each_left_out(list(by_scene.values()))
         seconds = round(time.monotonic() - started, 1)
-        return PartScores(part.name, part.group, list(by_scene), len(windows), seconds, scores, without)
+        return PartScores(part.name, part.group, list(by_scene), len(windows), seconds, scores, without=without)
 
     def _scenes(self, source: SceneSource) -> Sequence[SceneFrames]:
         return source.scenes("test")[: self.scenes]
@@ -257,3 +267,47 @@ def figures(scores: Scores) -> dict[str, float]:
         found |= scores.rays.compute_within()
     kept = {key: float(value) for key, value in found.items() if key in KEYS or key.startswith(WITHIN)}
     return {key: round(value, DIGITS) for key, value in kept.items()}
+
+
+def score_robustness(options: Evaluation) -> None:
+    """Score checkpoints under disturbances; write and log the results, print the comparison.
+
+    Raises:
+        UserError: when no checkpoint is named, and with the messages of those that cannot be scored.
+    """
+    if not options.checkpoints:
+        raise UserError("name a checkpoint, or a shipped file of weights")
+    logging = [word for word in options.overrides if word.startswith("logger.")]
+    others = [word for word in options.overrides if word not in logging]
+    logger: Loggers = Parts(compose_config(CONF, "train", logging)).loggers()
+    records: list[Robustness] = []
+
+    def score(checkpoint: Path) -> None:
+        folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
+        one, wanted = opened(checkpoint, others), options.robustness or ()
+        record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder=folder)
+        save_robustness(folder, record)
+        atomic_write(folder / "table.md", parts_text(report_parts([record])))
+        atomic_write(folder / "table.csv", robustness_csv([record], {}))
+        log_robustness(logger.build(folder, one.task.config, "robustness"), record, draw([record], folder))
+        records.append(record)
+        print(f"table     {folder / 'table.md'}", flush=True)
+
+    try:
+        each(options.checkpoints, score)
+    finally:
+        if records:
+            tables = [f"{in_columns(*part.cells)}\n\n{part.note}" for part in report_parts(records)]
+            print("\n\n".join(["", *tables, "all systems: python src/report.py"]))
+
+
+def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
+    """Write the plot of a test, and return it as an RGB image; None without matplotlib."""
+    if find_spec("matplotlib") is None:
+        print(f"No plot: matplotlib is missing: {installing('plot')}")
+        return None
+    from omniocc.report.plots import as_png, drops
+
+    path = folder / "robustness.png"
+    atomic_write(path, png := as_png(drops(records)))
+    return cv2.cvtColor(np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)

@@ -12,8 +12,8 @@ from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras, mask_view
 from omniocc.data.augment.degrade import Image, blurred, compressed, exposed
 from omniocc.errors import UserError
-from omniocc.extras.robustness.disturb import disturbance as kinds
-from omniocc.extras.robustness.disturb.disturbance import Disturbance
+from omniocc.extras.robustness import disturbance as kinds
+from omniocc.extras.robustness.disturbance import Disturbance
 from omniocc.runs.folder import short_hash
 from omniocc.runs.robustness import UNDISTURBED
 from omniworld.render.weather import WEATHERS

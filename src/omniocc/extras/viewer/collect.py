@@ -94,4 +94,4 @@ def _prediction(
     (labels, candidates, range_m), pixels = answer
     panorama = None if range_m is None else model.predictor.panorama
     figures = {} if truth is None else frame_figures(scores, labels, truth)
-    return FramePrediction(labels, model.grid, candidates, range_m, panorama, pixels, figures)
+    return FramePrediction(labels, model.grid, candidates, range_m, panorama, pixels, figures=figures)

@@ -38,7 +38,7 @@ def write_page(options: ViewOptions, target: TargetOptions) -> Path | None:
     if target.page:
         return written_page(options, target)
     try:
-        from omniocc.extras.viewer.timeline.show import show
+        from omniocc.extras.viewer.timeline.log import show
         from omniocc.extras.viewer.timeline.sinks import check_place
     except ImportError as error:
         raise UserError(f"the Rerun viewer needs one more package: {installing('rerun')}") from error

@@ -44,7 +44,7 @@ def open_predictions(options: ViewOptions) -> Shown:
     road_z_m = next((spec_of(scene).road_z_m for scene in recorded.values()), rig and rig.road_z_m)
     interval_s = next((spec_of(scene).frame_interval_s for scene in recorded.values()), OWN_INTERVAL_S)
     ignore: Ignore = facts.get("ignore") or "none"
-    read = partial(_frames, folder, frames, first, recorded, ignore, rig, own_frames(facts, rig))
+    read = partial(_frames, folder, frames, first, recorded, ignore, rig=rig, own=own_frames(facts, rig))
     return Shown(
         classes=first.classes,
         models=(folder.resolve().name,),

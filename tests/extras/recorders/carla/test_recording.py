@@ -22,11 +22,8 @@ pytest.importorskip("carla", reason="the client of CARLA is not installed: pip i
 
 STAND_IN = Path(__file__).with_name("stand_in.py")
 SIZE = (128, 72)
-SMALL = (
-    "recorder.scenes=1", "recorder.maps=[Town01]", "recorder.frames=2", "recorder.warm_up=2",
-    f"recorder.image_size=[{SIZE[0]},{SIZE[1]}]", "recorder.panorama=[96,24,45,-45]", "recorder.lidars=20",
-    "recorder.timeout_s=60", "recorder.load_s=300",
-)  # fmt: skip
+OPTIONS = "scenes=1 maps=[Town01] frames=2 warm_up=2 panorama=[96,24,45,-45] lidars=20 timeout_s=60 load_s=300"
+SMALL = tuple(f"recorder.{word}" for word in [*OPTIONS.split(), f"image_size=[{SIZE[0]},{SIZE[1]}]"])
 FIRST_TICK = 5
 """Ticks until the first recorded frame: one for pedestrians, one for the sensors, two to warm up, its own."""
 
@@ -91,9 +88,8 @@ def test_cubemaps_see_the_same_classes_and_ranges(scene, direct):
 
 def test_ranges_around_the_ego_are_the_same(scene, direct):
     panorama, lidar = scene.erp_range_m(0), scene.lidar(0)
-    for found, true, least in (
-        (panorama, direct.erp_range_m, 0.78), (lidar.range_m, direct.lidar_range_m, 0.88),
-    ):  # fmt: skip
+    pairs = (panorama, direct.erp_range_m, 0.78), (lidar.range_m, direct.lidar_range_m, 0.88)
+    for found, true, least in pairs:
         both = np.isfinite(found) & np.isfinite(true)
         off = np.abs(found[both] - true[both]) / true[both]
         assert np.median(off) < 1e-3

@@ -17,8 +17,7 @@ from made_page import CUBOID, CYLINDER, EVIL, RUNS, made_frames, made_shown, rig
 
 from omniocc.errors import UserError
 from omniocc.extras.viewer.page import page_path, write_page
-from omniocc.extras.viewer.page.lens import direction_table
-from omniocc.extras.viewer.page.pack import Packed
+from omniocc.extras.viewer.page.pack import Packed, direction_table
 from omniocc.runs.folder import PAGE
 
 

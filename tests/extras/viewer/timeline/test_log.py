@@ -12,8 +12,7 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.extras.viewer.collect import open_shown
 from omniocc.extras.viewer.frames import Shown
 from omniocc.extras.viewer.options import ViewOptions
-from omniocc.extras.viewer.timeline.paths import grid_name
-from omniocc.extras.viewer.timeline.show import show
+from omniocc.extras.viewer.timeline.log import grid_name, show
 from rayiou.surface import surface, with_area
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
@@ -91,9 +90,8 @@ def test_each_frame_has_its_place_in_time_and_its_figures(frames, recorded):
     assert SCENES[1] in texts[1].columns["TextDocument:text"][0]
     times_s = [row.columns["time"].total_seconds() for row in texts]
     assert np.allclose(times_s, [0.0, 0.5, 1.0])
-    assert set(recorded["/world/ego"][0].columns) == {
-        "rerun.controls.RowId", "frame", "time", "Transform3D:mat3x3", "Transform3D:translation",
-    }  # fmt: skip
+    columns = "rerun.controls.RowId frame time Transform3D:mat3x3 Transform3D:translation"
+    assert set(recorded["/world/ego"][0].columns) == set(columns.split())
 
 
 def test_poses_begin_near_the_origin(frames, recorded):

@@ -8,17 +8,22 @@ from jaxtyping import UInt8
 from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
 from omniocc.extras.recorders import Finding
-from omniocc.extras.recorders.carla.decode import inverse_depth_of, read_bgra, tags_in
 from omniocc.extras.recorders.carla.frames import ACTOR_CLASSES, RawFrame, actor_of, scans_of
-from omniocc.extras.recorders.carla.sensors import Cube, Spec
+from omniocc.extras.recorders.carla.sensors import Cube, Spec, inverse_depth_of, read_bgra, tags_in
 from omniocc.extras.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
 
 POSE_M, POSE_RAD = 0.02, np.radians(0.2)
+"""Largest distance and angle of a sensor from where it was mounted."""
 DEPTH_FRACTION = 0.02
+"""Largest difference from 1 of the median ratio of both distances."""
 SAME_TAGS = 0.85
+"""Smallest fraction of points whose classes are equal, or right."""
 IN_BOX = 0.9
+"""Smallest fraction of an actor's points in its box, which is 0.2 m wider on each side."""
 TIME_S = 1e-4
+"""Largest difference of a step from the interval."""
 UNDER_M = 5.0
+"""Radius around the car in which the ground has to be road."""
 
 
 def check_frames(

@@ -13,8 +13,7 @@ from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
 from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.extras.carla_tags import ROAD, ROADLINE
-from omniocc.extras.recorders.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
-from omniocc.extras.recorders.carla.sensors import Cube
+from omniocc.extras.recorders.carla.sensors import Cube, Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.extras.unreal import right_handed, right_handed_points
 from omniocc.frame import Box
 from omniworld import Frame
@@ -170,17 +169,17 @@ def make_frame(
     labels = with_road_lines(points_m, labels, rig, semantics, range_m)
     keep = first_of_each(cubes(points_m), labels, np.zeros(SCRATCH, np.int32))
     frame = Frame(
-        raw.time_s - first_time_s,
-        world_from_ego,
-        np.stack(rgb),
-        np.stack(semantics),
-        np.stack(range_m),
-        around.range_m[:split].reshape(panorama.height, panorama.width),
-        points_m[keep],
-        labels[keep],
-        around.range_m[split:],
-        around.labels[split:],
-        boxes_of(raw, world_from_ego),
+        time_s=raw.time_s - first_time_s,
+        world_from_ego=world_from_ego,
+        images=np.stack(rgb),
+        semantics=np.stack(semantics),
+        range_m=np.stack(range_m),
+        erp_range_m=around.range_m[:split].reshape(panorama.height, panorama.width),
+        points_m=points_m[keep],
+        point_labels=labels[keep],
+        lidar_range_m=around.range_m[split:],
+        lidar_labels=around.labels[split:],
+        boxes=boxes_of(raw, world_from_ego),
     )
     return frame, own_car
 

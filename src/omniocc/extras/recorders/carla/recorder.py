@@ -231,14 +231,14 @@ class CarlaRecorder:
         """Return the frame that a message holds."""
         header = message.header
         return RawFrame(
-            header["number"],
-            header["time_s"],
-            header["world_from_vehicle"],
-            header["ego_id"],
-            header["ego_box"],
-            header["actors"],
-            header["matrices"],
-            message.blobs,
+            number=header["number"],
+            time_s=header["time_s"],
+            world_from_vehicle=header["world_from_vehicle"],
+            ego_id=header["ego_id"],
+            ego_box=header["ego_box"],
+            actors=header["actors"],
+            matrices=header["matrices"],
+            raw=message.blobs,
         )
 
     def check(self) -> list[Finding]:
@@ -288,7 +288,9 @@ class CarlaRecorder:
             classes = class_table(tags)
             for raw in (self.raw_frame(message) for message in messages if message.kind == "frame"):
                 first_s = first_s if writer.num_frames else raw.time_s
-                frame, own_car = make_frame(raw, first_s, self.rig, self.cameras, self.origin, self.panorama, classes)
+                frame, own_car = make_frame(
+                    raw, first_s, self.rig, self.cameras, self.origin, self.panorama, classes=classes
+                )
                 if writer.num_frames == 0:
                     rig = masking(self.rig, grown(tuple(torch.from_numpy(part) for part in own_car), 1))
                 append_frame(writer, frame)

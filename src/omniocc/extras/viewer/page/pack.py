@@ -2,21 +2,24 @@
 
 import base64
 import gzip
+import itertools
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int16
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.draw.canvas import encoded, fitted
+from omniocc.classes import FREE, ClassTable
+from omniocc.draw.bev import ERRORS
+from omniocc.draw.canvas import Rgb, encoded, fitted
 from omniocc.draw.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
 from omniocc.draw.sheet import HEXAGON_ORDER
 from omniocc.draw.voxels import CAR_BOXES
 from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.extras.viewer.page.colors import class_colors, kind_colors
-from omniocc.extras.viewer.page.lens import direction_table
 from omniocc.geometry import Cylinder, Grid
 
 IMAGE_PX = 1024
@@ -37,6 +40,50 @@ FIGURES = {
     "lidar/rayiou": "surface RayIoU",
 }
 """Figures of a frame that the page shows, and their names."""
+SAFE: tuple[Rgb, ...] = (
+    (120, 120, 135),
+    (240, 210, 255),
+    (180, 135, 90),
+    (45, 60, 90),
+    (105, 30, 150),
+    (105, 255, 180),
+    (255, 120, 15),
+    (75, 150, 210),
+    (105, 45, 0),
+    (195, 30, 255),
+    (180, 255, 120),
+    (150, 180, 165),
+    (210, 60, 0),
+    (0, 0, 240),
+    (255, 210, 0),
+    (165, 60, 75),
+    (75, 105, 150),
+    (255, 15, 195),
+    (90, 0, 180),
+    (120, 225, 120),
+)
+"""Colours that colour-blind people can tell apart, by class from 1 on; the first eleven are those of the virtual world.
+
+They were chosen one after the other, each as far as possible from those before: the smallest CIELAB distance between
+two of them, as people with normal sight, protanopes, deuteranopes and tritanopes see them (Machado, Oliveira and
+Fernandes: A Physiologically-based Model for Simulation of Color Vision Deficiency, 2009), is at least 26 among the
+first eleven and 17 among all.
+"""
+SAFE_KINDS: dict[str, Rgb] = {
+    "right": (214, 219, 224),
+    "wrong class": (255, 180, 0),
+    "missed": (0, 90, 200),
+    "hallucinated": (150, 30, 30),
+}
+"""By kind of difference, in the order in which the page numbers them from 1 on."""
+STEPS = (64, 32, 16, 8, 4, 2, 1)
+"""Distances between the pixels of a table, px; the largest that is exact enough is taken."""
+LARGEST_ERROR_DEG = 0.04
+"""Between an interpolated direction and the lens model's, over all pixels that the camera sees."""
+QUICK = 61
+"""A table is first tried on each so manieth pixel; a prime, so that these are not in a few columns alone."""
+UNIT = 32767
+"""Length of a direction in a table."""
 
 
 class Packed:
@@ -169,3 +216,104 @@ def pack(shown: Shown, frames: Iterable[ShownFrame], image_px: int = IMAGE_PX) -
     for frame in frames:
         packed.add(frame)
     return packed
+
+
+def class_colors(classes: ClassTable) -> list[dict]:
+    """Return name, colour and colour-blind-safe colour of every class; classes beyond `SAFE` keep their colour."""
+    safe = {label: SAFE[label - 1] for label in range(1, min(len(SAFE) + 1, classes.num_classes))}
+    rows = [{"name": row.name, "rgb": row.rgb, "safe": safe.get(row.id, row.rgb)} for row in classes.rows]
+    assert rows[FREE]["safe"] == rows[FREE]["rgb"]
+    return rows
+
+
+def kind_colors() -> list[dict]:
+    """Return the same for the kinds of differences; the first entry stands for 'none'."""
+    colors = dict(ERRORS)
+    kinds = [{"name": name, "rgb": colors[name], "safe": safe} for name, safe in SAFE_KINDS.items()]
+    return [{"name": "", "rgb": (0, 0, 0), "safe": (0, 0, 0)}, *kinds]
+
+
+class DirectionTable(NamedTuple):
+    """Directions of one camera's pixels.
+
+    Attributes:
+        step: distance between neighbouring entries, px; the first is the centre of pixel (0, 0).
+        directions: ego frame, times `UNIT`; linear interpolation between entries gives the direction of any pixel.
+        valid: pixels that the lens sees and the mask does not hide.
+        error_deg: largest error found.
+    """
+
+    step: int
+    directions: Int16[np.ndarray, "rows columns 3"]
+    valid: Bool[np.ndarray, "height width"]
+    error_deg: float
+
+
+def direction_table(rig: Rig, camera: int) -> DirectionTable:
+    """Return the coarsest table of a camera whose error is at most `LARGEST_ERROR_DEG`, else one of every pixel."""
+    exact, valid = rig.rays(camera)
+    exact, valid = exact.double().numpy(), valid.numpy()
+    v, u = np.nonzero(valid)
+    for step, continued in itertools.product(STEPS, (False, True)):
+        table, error_deg = _entries(rig, camera, step, continued), 0.0
+        for every in (QUICK, 1):
+            rows, columns = v[::every], u[::every]
+            found = interpolate(table, step, columns, rows)
+            error_deg = float(_angle_deg(found, exact[rows, columns]).max(initial=0.0))
+            if error_deg > LARGEST_ERROR_DEG and step > STEPS[-1]:
+                break
+        else:
+            return DirectionTable(step, table, valid, error_deg)
+    raise AssertionError("the last of STEPS is always taken")
+
+
+def interpolate(
+    table: Int16[np.ndarray, "rows columns 3"], step: int, u: np.ndarray, v: np.ndarray
+) -> Float64[np.ndarray, "P 3"]:
+    """Return the unit directions of pixels as `static/lens.js` finds them."""
+    columns = np.clip(np.floor(u / step), 0, table.shape[1] - 2).astype(int)
+    rows = np.clip(np.floor(v / step), 0, table.shape[0] - 2).astype(int)
+    right, below = (u / step - columns)[:, None], (v / step - rows)[:, None]
+    upper = table[rows, columns] * (1 - right) + table[rows, columns + 1] * right
+    lower = table[rows + 1, columns] * (1 - right) + table[rows + 1, columns + 1] * right
+    mixed = upper * (1 - below) + lower * below
+    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+
+
+def _entries(rig: Rig, camera: int, step: int, continued: bool) -> Int16[np.ndarray, "rows columns 3"]:
+    """Return the directions at every `step` pixels, up to the image's last pixel or the first entry beyond it.
+
+    Beyond the lens's field of view they are those of its model, or those inside it continued linearly: some models end
+    there, and pixels at the border lie between entries on both sides.
+    """
+    model = rig.cameras[camera]
+    columns, rows = (max(-(-(size - 1) // step), 1) + 1 for size in (model.width, model.height))
+    v, u = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+    rays, valid = model.unproject(torch.stack([u, v], dim=-1).double() * step)
+    directions = (rays @ rig.ego_from_camera[camera, :3, :3].T).numpy()
+    for _ in range(2 if continued else 0):
+        directions, valid = _continued(directions, np.asarray(valid))
+    length = np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1.0)
+    return (directions / length * UNIT).round().astype(np.int16)
+
+
+def _continued(directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the entries with those beside the lens's field of view continued linearly from their neighbours in it."""
+    total, count = np.zeros_like(directions), np.zeros(valid.shape)
+    for axis in (0, 1):
+        for side in (1, -1):
+            near, far = (np.roll(directions, side * by, axis) for by in (1, 2))
+            known = np.roll(valid, side, axis) & np.roll(valid, 2 * side, axis)
+            ends = [slice(None)] * 2
+            ends[axis] = slice(0, 2) if side > 0 else slice(-2, None)
+            known[tuple(ends)] = False  # np.roll took them from the other end
+            total += np.where(known[..., None], 2 * near - far, 0)
+            count += known
+    new = ~valid & (count > 0)
+    mean = total / np.maximum(count, 1)[..., None]
+    return np.where(new[..., None], mean, directions), valid | new
+
+
+def _angle_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    second = second / np.linalg.norm(second, axis=-1, keepdims=True)
+    return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(first - second, axis=-1) / 2, 0, 1)))

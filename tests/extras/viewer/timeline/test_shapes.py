@@ -6,9 +6,15 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.extras.viewer.timeline.meshes import class_meshes, difference_cells, difference_meshes, shaded
-from omniocc.extras.viewer.timeline.outlines import LENGTH_M, camera_outline
-from omniocc.extras.viewer.timeline.rays import ray_outcomes
+from omniocc.extras.viewer.timeline.shapes import (
+    LENGTH_M,
+    camera_outline,
+    class_meshes,
+    difference_cells,
+    difference_meshes,
+    ray_outcomes,
+    shaded,
+)
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import RayIoU, sparseocc_directions
 
