@@ -43,8 +43,12 @@ def turned(yaw_deg: float, place_m: tuple[float, float, float]) -> np.ndarray:
 
 
 PARKOCC_YAW_DEG = {"front": 0.0, "left": 90.0, "right": -90.0, "back": 180.0}
-PARKOCC_PLACES_M = {"front": (2.0, 0.0, -1.3), "left": (0.5, 1.0, -1.0), "right": (0.5, -1.0, -1.0),
-                    "back": (-2.0, 0.0, -1.2)}  # fmt: skip
+PARKOCC_PLACES_M = {
+    "front": (2.0, 0.0, -1.3),
+    "left": (0.5, 1.0, -1.0),
+    "right": (0.5, -1.0, -1.0),
+    "back": (-2.0, 0.0, -1.2),
+}
 
 
 def parkocc_rows() -> np.ndarray:
@@ -157,13 +161,18 @@ def write_quadocc(root: Path, sequences=("a", "b", "c"), frames=6) -> Path:
 
 FISHEYE3DOD_FOCAL_PX = 200.0
 FISHEYE3DOD_SENSORS = {  # yaw in CARLA (clockwise) and place on the car, x forward, y RIGHT, z up
-    "semantic_lidar": (0.0, (0.0, 0.0, 2.4)), "fisheye_camera_front": (0.0, (2.0, 0.0, 0.8)),
-    "fisheye_camera_left": (-90.0, (0.5, -1.0, 1.0)), "fisheye_camera_right": (90.0, (0.5, 1.0, 1.0)),
-    "fisheye_camera_rear": (180.0, (-2.0, 0.0, 0.9)), "nu_rgb_camera_front": (0.0, (1.5, 0.0, 1.5)),
-    "nu_rgb_camera_front_left": (-55.0, (1.3, -0.5, 1.5)), "nu_rgb_camera_front_right": (55.0, (1.3, 0.5, 1.5)),
-    "nu_rgb_camera_rear": (180.0, (0.0, 0.0, 1.5)), "nu_rgb_camera_rear_left": (-110.0, (1.0, -0.5, 1.5)),
+    "semantic_lidar": (0.0, (0.0, 0.0, 2.4)),
+    "fisheye_camera_front": (0.0, (2.0, 0.0, 0.8)),
+    "fisheye_camera_left": (-90.0, (0.5, -1.0, 1.0)),
+    "fisheye_camera_right": (90.0, (0.5, 1.0, 1.0)),
+    "fisheye_camera_rear": (180.0, (-2.0, 0.0, 0.9)),
+    "nu_rgb_camera_front": (0.0, (1.5, 0.0, 1.5)),
+    "nu_rgb_camera_front_left": (-55.0, (1.3, -0.5, 1.5)),
+    "nu_rgb_camera_front_right": (55.0, (1.3, 0.5, 1.5)),
+    "nu_rgb_camera_rear": (180.0, (0.0, 0.0, 1.5)),
+    "nu_rgb_camera_rear_left": (-110.0, (1.0, -0.5, 1.5)),
     "nu_rgb_camera_rear_right": (110.0, (1.0, 0.5, 1.5)),
-}  # fmt: skip
+}
 WALL_M = 6.1
 
 
