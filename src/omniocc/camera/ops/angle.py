@@ -15,8 +15,8 @@ def theta_over_radius(
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
     """Return the angle from the axis divided by the distance from it, the angle, and whether the quotient is defined.
 
-    Near the axis, where the quotient is 0/0, two terms of its series are used: the next one is below rounding there. The
-    unused branch gets valid arguments, because autograd evaluates both.
+    Near the axis, where the quotient is 0/0, two terms of its series are used: the next one is below rounding there.
+    The unused branch gets valid arguments, because autograd evaluates both.
     """
     x, y, z = points.unbind(-1)
     squared = x.square() + y.square()
