@@ -102,7 +102,9 @@ class Progress:
         self._others = max(self.finished() - self._own, 0)
         counts = self._made and self.done < self.total
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9) if counts else None
-        return Status("running", self.title, self.done, self.total, self.unit, self.rate_hz, left_s, self._text)
+        return Status(
+            "running", self.title, self.done, self.total, self.unit, self.rate_hz, left_s=left_s, text=self._text
+        )
 
     def __enter__(self) -> "Progress":
         if self._bar is not None:

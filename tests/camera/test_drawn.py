@@ -35,8 +35,14 @@ def test_rigs_are_various_within_their_limits():
     drawn = rigs(200)
     assert {len(rig.cameras) for rig in drawn} >= {1 + n for n in COUNTS if n < 6} | {2}
     assert {type(rig.cameras[0]).__name__ for rig in drawn} == {
-        "Equidistant", "KannalaBrandt", "DoubleSphere", "EUCM", "MEI", "RadialPolynomial", "Pinhole",
-    }  # fmt: skip
+        "Equidistant",
+        "KannalaBrandt",
+        "DoubleSphere",
+        "EUCM",
+        "MEI",
+        "RadialPolynomial",
+        "Pinhole",
+    }
     heights_m = [-rig.road_z_m for rig in drawn]
     assert HEIGHT_M[0] <= min(heights_m) < 0.7
     assert 2.3 < max(heights_m) <= HEIGHT_M[1]

@@ -9,10 +9,23 @@ import torch
 from omniocc.camera import Camera
 
 NAMES = [
-    "svs_front", "svs_back", "svs_left", "svs_right", "basalt_test_kb4", "basalt_test_ds", "basalt_test_eucm_euroc",
-    "euroc_kb", "euroc_ds", "euroc_eucm", "kitti360_image_03", "woodscape_like", "omnimvs_sunny_single_cam1",
-    "omnimvs_sunny_single_cam2", "omnimvs_sunny_single_cam3", "omnimvs_sunny_single_cam4",
-]  # fmt: skip
+    "svs_front",
+    "svs_back",
+    "svs_left",
+    "svs_right",
+    "basalt_test_kb4",
+    "basalt_test_ds",
+    "basalt_test_eucm_euroc",
+    "euroc_kb",
+    "euroc_ds",
+    "euroc_eucm",
+    "kitti360_image_03",
+    "woodscape_like",
+    "omnimvs_sunny_single_cam1",
+    "omnimvs_sunny_single_cam2",
+    "omnimvs_sunny_single_cam3",
+    "omnimvs_sunny_single_cam4",
+]
 KINDS = ["svs_back", "basalt_test_ds", "euroc_eucm", "kitti360_image_03", "woodscape_like", "omnimvs_sunny_single_cam1"]
 
 

@@ -59,14 +59,15 @@ def test_a_sound_source_has_no_problems(tmp_path):
         ({}, voxels(19, (0, 0, 0)), "voxels: classes [19] do not exist; the source has 0 to 18, and 255 for unknown"),
         ({}, voxels(1, (0, 0, 0)).float(), "voxels: classes are float32 instead of uint8"),
         (
-            {"pixel_labels": [np.array([[3, 255]], np.uint8), np.array([[40, 77]], np.uint8)]}, None,
+            {"pixel_labels": [np.array([[3, 255]], np.uint8), np.array([[40, 77]], np.uint8)]},
+            None,
             "pixels: classes [40, 77] do not exist",
         ),
         ({"points": points((1, 0, 0), labels=90)}, None, "points: classes [90] do not exist"),
         ({"points": points()}, None, "none of its 0 points lies within 40 m"),
         ({"points": points((4000.0, 100.0, 0.0), (0.0, -41.0, 2.0))}, None, "none of its 2 points lies within 40 m"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_in_a_frame_is_named(found, truth, words):
     problems, read = check_frame(scene(**found), expected(truth), 1)
     assert [problem for problem in problems if f"scene 'town', frame 1: {words}" in problem], problems

@@ -19,9 +19,11 @@ def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
     trained = SimpleNamespace(path=tmp_path / "best.ckpt", occupancy=None, facts=facts)
     instead = {
         "load": lambda _: trained,
-        "make_module": lambda *_: None, "export_program": lambda _: None, "contract_of": lambda *_: {"inputs": []},
+        "make_module": lambda *_: None,
+        "export_program": lambda _: None,
+        "contract_of": lambda *_: {"inputs": []},
         "write_program": lambda program, contract, output: output.write_bytes(b"program"),
-    }  # fmt: skip
+    }
     for name, value in instead.items():
         monkeypatch.setattr(files, name, value)
     for name in ("model.pt2", "model.onnx"):

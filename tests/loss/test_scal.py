@@ -55,12 +55,6 @@ def test_all_free_scores_only_the_free_voxels(batch_of):
     assert float(geometric_scal(soft_confusion(logits, target))) == pytest.approx(-math.log(fraction), rel=1e-5)
 
 
-def test_sum_of_both(batch_of):
-    logits, target = batch_of([0, 1, 2, 255], 5)
-    expected = semantic_reference(logits, target) + geometric_reference(logits, target)
-    assert float(SceneClassAffinity()(logits, target)) == pytest.approx(expected, rel=1e-5)
-
-
 def test_perfect_prediction_is_free_of_loss(batch_of):
     _, target = batch_of([0, 1, 2, 3, 4], 5)
     logits = 60 * torch.nn.functional.one_hot(target.long(), 5).movedim(-1, 1).float()

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import FREE, UNKNOWN
-from omniocc.data.formats.clouds import out_of_reach
 from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, SourceSpec, VoxelLabels
 from omniocc.data.spacing import evenly_spaced
@@ -28,6 +28,12 @@ MAX_SPEED_MPS, MAX_TURN_DEG_PER_S = 70.0, 360.0
 """Beyond these the poses of a recorded log are wrong, or in another unit."""
 DIRECTIONS, STEP_M = 16, 1e-3
 """Rays from the ego origin begin in the cells that lie around it: in as many directions, this far."""
+LEAST_NEAR = 1e-3
+"""Fraction of the points of a scan, at least, that lies within the reach of the scores."""
+FAR_M = 256.0
+"""Median distance of points that no LiDAR on a car measures; points beyond are not even stored."""
+CLUSTERED = 0.2
+"""Spread of points in world coordinates about their middle as a fraction of their distance, at most."""
 LABELS: dict[str, Callable[[Any], Iterable[np.ndarray | Tensor]]] = {
     "pixels": lambda found: found,
     "LiDAR": lambda found: [found.labels],
@@ -197,3 +203,32 @@ def _poses(scene: SceneFrames) -> Iterator[str]:
     if isinstance(scene, SceneReader) and not len(wrong):
         for frame, problem in jumps(poses, scene.time_s, MAX_SPEED_MPS, MAX_TURN_DEG_PER_S):
             yield f"scene '{scene.name}', frame {frame}: {problem}"
+
+
+def distances_m(points_m: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " F"]:
+    """Return the horizontal distance of the points that are finite from the origin of their frame, m."""
+    return np.linalg.norm(points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64), axis=1)
+
+
+def out_of_reach(points_m: Float[np.ndarray, "P 3"], reach_m: float) -> str:
+    """Return a line if hardly any point of a scan, ego frame, lies within a horizontal distance, and why; else ''.
+
+    World coordinates lie close together and far away; in another unit points still lie around the car.
+    """
+    distance_m = distances_m(points_m)
+    near, total = int((distance_m < reach_m).sum()), len(distance_m)
+    if near and near >= LEAST_NEAR * total:
+        return ""
+    found = f"{near:,} of its {total:,} points lie" if near else f"none of its {total:,} points lies"
+    median_m = float(np.median(distance_m)) if total else np.nan
+    if not total:
+        likely = "rays that did not come back and points on the own car are left out"
+    elif median_m < FAR_M:
+        likely = f"their median distance is {median_m:,.0f} m; are the unit (m) and the pose of the LiDAR right?"
+    else:
+        middle_m = np.nanmedian(points_m.astype(np.float64), axis=0)
+        spread_m = np.median(distances_m(points_m - middle_m))
+        world = "world coordinates (UTM, map): give them in the frame of the LiDAR"
+        looks = world if spread_m < median_m * CLUSTERED else "millimetres or another unit: give them in metres"
+        likely = f"their median distance is {median_m:,.0f} m, which looks like {looks}"
+    return f"{found} within {reach_m:g} m: {likely}"

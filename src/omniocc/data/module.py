@@ -254,7 +254,7 @@ class OccupancyData(LightningDataModule):
         own_rays, grid = spec.lidar_directions is None, spec.scored_grid(self.geometry)
         for split in SPLITS:
             scenes, needs = self.source.scenes(split), self.needs[split]
-            made = WindowDataset(scenes, self.voxels, self.window, needs, own_rays, self.origins, grid)
+            made = WindowDataset(scenes, self.voxels, self.window, needs, own_rays, self.origins, scored_grid=grid)
             self._datasets.setdefault(split, made)
 
     def set_needs(self, train: Needs, test: Needs) -> None:

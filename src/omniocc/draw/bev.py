@@ -84,5 +84,5 @@ def _draw_ego(image: np.ndarray, px_per_m: float) -> None:
     outline = np.array([[2.4, 0.0], [-2.0, 1.3], [-1.2, 0.0], [-2.0, -1.3]])  # x, y in metres
     pixels = np.stack([-outline[:, 1], -outline[:, 0]], 1) * px_per_m + image.shape[0] / 2 - 0.5
     points = np.round(pixels * 16).astype(np.int32)
-    cv2.fillPoly(image, [points], (255, 255, 255), cv2.LINE_AA, 4)
-    cv2.polylines(image, [points], True, (30, 30, 30), 1, cv2.LINE_AA, 4)
+    cv2.fillPoly(image, [points], (255, 255, 255), cv2.LINE_AA, shift=4)
+    cv2.polylines(image, [points], True, (30, 30, 30), 1, cv2.LINE_AA, shift=4)

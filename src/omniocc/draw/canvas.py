@@ -64,7 +64,7 @@ def text_width(text: str, height_px: int) -> int:
 
 def write(canvas: np.ndarray, text: str, left: int, baseline: int, height_px: int, rgb: Rgb = INK) -> None:
     """Write a line of text, in place; `height_px` is the height of a capital letter."""
-    cv2.putText(canvas, text, (left, baseline), FONT, _scale(height_px), rgb, 1, cv2.LINE_AA)
+    cv2.putText(canvas, text, (left, baseline), FONT, _scale(height_px), rgb, thickness=1, lineType=cv2.LINE_AA)
 
 
 def tag(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10) -> None:

@@ -92,8 +92,8 @@ def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: n
     drawn = np.zeros(grey.shape, np.uint8)
     fixed, sizes = np.round(places * 16).astype(int).tolist(), np.round(radius * 16).astype(int).tolist()
     for center, size, rgb in zip(fixed, sizes, colors.tolist(), strict=True):
-        cv2.circle(paint, center, size, rgb, -1, cv2.LINE_8, 4)
-        cv2.circle(drawn, center, size, 1, -1, cv2.LINE_8, 4)
+        cv2.circle(paint, center, size, rgb, -1, cv2.LINE_8, shift=4)
+        cv2.circle(drawn, center, size, 1, -1, cv2.LINE_8, shift=4)
     light = 0.45 + 0.75 * (grey / 255.0)
     lit = (paint * light[..., None]).clip(0, 255).astype(np.uint8)
     return np.where(drawn[..., None] > 0, lit, paint)

@@ -76,7 +76,7 @@ def render_voxels(
     quads = np.round(pixels * 16).astype(np.int32)
     for k in order:
         cv2.fillConvexPoly(canvas, quads[k], colors[k].tolist(), cv2.LINE_8, 4)
-        cv2.polylines(canvas, [quads[k]], True, edges[k].tolist(), 1, cv2.LINE_AA, 4)
+        cv2.polylines(canvas, [quads[k]], True, edges[k].tolist(), 1, cv2.LINE_AA, shift=4)
     return cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
 
 

@@ -185,7 +185,9 @@ def convolution3d(
     """Compute a convolution with an explicit zero bias: onnxscript 0.7 gives a missing one a wrong shape."""
     if bias is None:
         bias = weight.new_zeros(len(weight))
-    return torch.ops.aten.convolution(volume, weight, bias, stride, padding, dilation, False, [0, 0, 0], groups)
+    return torch.ops.aten.convolution(
+        volume, weight, bias, stride, padding, dilation, transposed=False, output_padding=[0, 0, 0], groups=groups
+    )
 
 
 DECOMPOSITIONS: dict[Any, Any] = {

@@ -51,4 +51,5 @@ class CrossEntropy(nn.Module):
         loss = F.cross_entropy(logits.float(), labels, self.weights, ignore_index=UNKNOWN, reduction="sum")
         padded = F.pad(self.weights, (0, UNKNOWN + 1 - len(self.weights)))
         total = padded[labels].sum()
+        # 0 / 0 where no voxel is known would be nan
         return loss / total.clamp(min=torch.finfo(total.dtype).tiny)

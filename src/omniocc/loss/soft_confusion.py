@@ -12,7 +12,8 @@ def soft_confusion(logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B 
     """Return the probability mass by true (row) and predicted (column) class, summed over the known voxels.
 
     Later sums add entries of this matrix without subtraction, so that they stay exact where a probability is close to
-    0 or 1. Computed in float32, also under autocast.
+    0 or 1. The sum of a row is the number of voxels of the class but for rounding, so a class occurs where it is above
+    0.5. Computed in float32, also under autocast.
     """
     classes = logits.shape[1]
     with torch.autocast(logits.device.type, enabled=False):

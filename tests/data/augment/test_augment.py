@@ -217,9 +217,15 @@ def test_all_off_changes_nothing(grid, batch):
 
 def test_draws_follow_the_seed(grid, batch):
     options = {
-        "erase_probability": 0.5, "brightness": 0.2, "contrast": 0.2, "saturation": 0.2, "hue_deg": 20.0,
-        "flip_probability": 0.5, "yaw_probability": 0.5, "drop_past_probability": 0.5,
-    }  # fmt: skip
+        "erase_probability": 0.5,
+        "brightness": 0.2,
+        "contrast": 0.2,
+        "saturation": 0.2,
+        "hue_deg": 20.0,
+        "flip_probability": 0.5,
+        "yaw_probability": 0.5,
+        "drop_past_probability": 0.5,
+    }
     changed = augment(grid, **options)
     same(changed(batch, seeded(3)), changed(batch, seeded(3)))
     assert not torch.equal(changed(batch, seeded(3)).images, changed(batch, seeded(4)).images)

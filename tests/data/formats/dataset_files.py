@@ -12,11 +12,20 @@ FRONT = {
         "translation": [3.7484, 0.0, 0.66017],
     },
     "intrinsic": {
-        "aspect_ratio": 1.0, "cx_offset": 3.942, "cy_offset": -3.093, "height": 966.0, "width": 1280.0,
-        "k1": 339.749, "k2": -31.988, "k3": 48.275, "k4": -7.201, "model": "radial_poly", "poly_order": 4,
+        "aspect_ratio": 1.0,
+        "cx_offset": 3.942,
+        "cy_offset": -3.093,
+        "height": 966.0,
+        "width": 1280.0,
+        "k1": 339.749,
+        "k2": -31.988,
+        "k3": 48.275,
+        "k4": -7.201,
+        "model": "radial_poly",
+        "poly_order": 4,
     },
     "name": "FV",
-}  # fmt: skip
+}
 """Numbers of the calibration that WoodScape's repository shows."""
 
 

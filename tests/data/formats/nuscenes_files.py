@@ -27,9 +27,11 @@ def product(a, b):
     w, x, y, z = a
     v, p, q, r = b
     return [
-        w * v - x * p - y * q - z * r, w * p + x * v + y * r - z * q,
-        w * q - x * r + y * v + z * p, w * r + x * q - y * p + z * v,
-    ]  # fmt: skip
+        w * v - x * p - y * q - z * r,
+        w * p + x * v + y * r - z * q,
+        w * q - x * r + y * v + z * p,
+        w * r + x * q - y * p + z * v,
+    ]
 
 
 def about_z(angle_deg):
@@ -68,12 +70,15 @@ def sensors():
         angle_deg = YAWS_DEG.get(channel, -90)
         ahead_m = 0.7 * float(np.cos(np.radians(angle_deg)))
         lidar = channel == LIDAR
-        calibrated.append({
-            "token": f"calibrated-{channel}", "sensor_token": f"sensor-{channel}",
-            "translation": [0.94, 0.0, 1.84] if lidar else [0.9 + ahead_m, 0.0, 1.5],
-            "rotation": about_z(angle_deg) if lidar else product(about_z(angle_deg), AHEAD),
-            "camera_intrinsic": [] if lidar else [[FOCAL_PX, 0.0, 79.5], [0.0, FOCAL_PX, 44.5], [0.0, 0.0, 1.0]],
-        })  # fmt: skip
+        calibrated.append(
+            {
+                "token": f"calibrated-{channel}",
+                "sensor_token": f"sensor-{channel}",
+                "translation": [0.94, 0.0, 1.84] if lidar else [0.9 + ahead_m, 0.0, 1.5],
+                "rotation": about_z(angle_deg) if lidar else product(about_z(angle_deg), AHEAD),
+                "camera_intrinsic": [] if lidar else [[FOCAL_PX, 0.0, 79.5], [0.0, FOCAL_PX, 44.5], [0.0, 0.0, 1.0]],
+            }
+        )
     return kinds, calibrated
 
 
@@ -111,12 +116,20 @@ def write_capture(root, rows, token, channel, time_us, y_m, rng):
     place_m = [411.0 + SPEED_MPS * 1e-6 * (time_us - BEGIN_US), 1180.0 + y_m, 0.0]
     rows["ego_pose"].append({"token": f"pose-{name}", "rotation": [1.0, 0.0, 0.0, 0.0], "translation": place_m})
     for is_key_frame, suffix in ((True, ""), (False, "-sweep")):
-        rows["sample_data"].append({
-            "token": f"{name}{suffix}", "sample_token": token, "ego_pose_token": f"pose-{name}",
-            "calibrated_sensor_token": f"calibrated-{channel}", "is_key_frame": is_key_frame,
-            "filename": str(path.relative_to(root)), "fileformat": extension, "timestamp": time_us,
-            "width": 0 if lidar else SIZE[0], "height": 0 if lidar else SIZE[1],
-        })  # fmt: skip
+        rows["sample_data"].append(
+            {
+                "token": f"{name}{suffix}",
+                "sample_token": token,
+                "ego_pose_token": f"pose-{name}",
+                "calibrated_sensor_token": f"calibrated-{channel}",
+                "is_key_frame": is_key_frame,
+                "filename": str(path.relative_to(root)),
+                "fileformat": extension,
+                "timestamp": time_us,
+                "width": 0 if lidar else SIZE[0],
+                "height": 0 if lidar else SIZE[1],
+            }
+        )
 
 
 def write_labels(path, rng):

@@ -49,9 +49,7 @@ def npz_of_zeros(path: Path, name: str, shape: tuple[int, ...]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "shape", [(9,), (2**62, 2**62), (-8,), (-1, -8)], ids=str
-)  # fmt: skip
+@pytest.mark.parametrize("shape", [(9,), (2**62, 2**62), (-8,), (-1, -8)], ids=str)
 def test_a_header_that_claims_more_than_the_file(shape, tmp_path):
     path = tmp_path / "a.npy"
     path.write_bytes(npy(shape))
@@ -75,8 +73,9 @@ def test_arrays_that_fit_are_read(tmp_path):
         np.testing.assert_array_equal(load_npy(path), array)
     np.savez(tmp_path / "b.npz", a=np.arange(3), b=np.array(["x", "yz"]))
     assert {name: array.tolist() for name, array in npz_arrays(tmp_path / "b.npz").items()} == {
-        "a": [0, 1, 2], "b": ["x", "yz"],
-    }  # fmt: skip
+        "a": [0, 1, 2],
+        "b": ["x", "yz"],
+    }
     assert list(npz_arrays(tmp_path / "b.npz", ["b", "c"])) == ["b"]
 
 

@@ -26,8 +26,12 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
     pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
 ]
-CUBOID = ["model/geometry=cuboid", "model.geometry.shape=[20,20,4]", "model.geometry.x_m=[-40.8,39.2]",
-          "model.geometry.y_m=[-40,40]"]  # fmt: skip
+CUBOID = [
+    "model/geometry=cuboid",
+    "model.geometry.shape=[20,20,4]",
+    "model.geometry.x_m=[-40.8,39.2]",
+    "model.geometry.y_m=[-40,40]",
+]
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +51,14 @@ def train(cfg):
     task = build_task(parts, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     trainer = Trainer(
-        accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
-        enable_checkpointing=False, num_sanity_val_steps=0, max_steps=2,
-    )  # fmt: skip
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        enable_checkpointing=False,
+        num_sanity_val_steps=0,
+        max_steps=2,
+    )
     trainer.fit(task, datamodule=data)
     logged = dict(trainer.logged_metrics)
     return logged, trainer.test(task, datamodule=data, verbose=False)[0], task, data
@@ -100,11 +109,13 @@ AHEAD = ["model/geometry=cuboid", "model.geometry.shape=[16,16,4]", "model.geome
 @pytest.mark.parametrize(
     ("dataset", "system"),
     [
-        ("kitti", ["model=extended"]), ("kitti", ["model=voxformer", *AHEAD]), ("kitti", ["model/sketch=mono"]),
+        ("kitti", ["model=extended"]),
+        ("kitti", ["model=voxformer", *AHEAD]),
+        ("kitti", ["model/sketch=mono"]),
         ("sscbench", ["model=extended"]),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_systems_run_ahead_of_the_car(smoke, request, dataset, system):
     logged, figures, *_ = train(smoke(*system, *request.getfixturevalue(dataset), "logger.mode=disabled"))
     assert all(torch.isfinite(value) for key, value in logged.items() if key.startswith("train/"))
@@ -119,10 +130,14 @@ def depth_of_kitti360(smoke, tmp_path_factory):
     """Return a function that makes the stages which learn depth from scans, of a changed recipe."""
     folder = tmp_path_factory.mktemp("raw")
     cfg = smoke(
-        "data=kitti360", f"data.source.root={write_kitti360(folder)}", "stage=depth", "data.source.accumulate=1",
-        "data.source.sequences={train:['00'],val:['06'],test:['09']}", "logger.mode=disabled",
+        "data=kitti360",
+        f"data.source.root={write_kitti360(folder)}",
+        "stage=depth",
+        "data.source.accumulate=1",
+        "data.source.sequences={train:['00'],val:['06'],test:['09']}",
+        "logger.mode=disabled",
         f"paths.runs={folder / 'runs'}",
-    )  # fmt: skip
+    )
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()
@@ -172,9 +187,14 @@ def test_the_2d_head_learns_from_woodscape(smoke, tmp_path_factory):
 def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory):
     root = write_carlasc(tmp_path_factory.mktemp("carlasc"), frames=2)
     cfg = smoke(
-        "data=carlasc", f"data.source.root={root}", "stage=sketch", "model/depth=truth", "logger.mode=disabled",
-        f"paths.runs={root / 'runs'}", "stages.sketch.max_steps=3",
-    )  # fmt: skip
+        "data=carlasc",
+        f"data.source.root={root}",
+        "stage=sketch",
+        "model/depth=truth",
+        "logger.mode=disabled",
+        f"paths.runs={root / 'runs'}",
+        "stages.sketch.max_steps=3",
+    )
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()

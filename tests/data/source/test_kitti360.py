@@ -23,9 +23,16 @@ def root(tmp_path_factory):
 
 
 def source_of(root, **changes):
-    options = {"cameras": ["image_02", "image_03"], "frame_step": 5, "accumulate": 2, "volume": None, "masks": [],
-               "image_width": 64,
-               "panorama": (64, 32, 45.0, -45.0), "cache": None}  # fmt: skip
+    options = {
+        "cameras": ["image_02", "image_03"],
+        "frame_step": 5,
+        "accumulate": 2,
+        "volume": None,
+        "masks": [],
+        "image_width": 64,
+        "panorama": (64, 32, 45.0, -45.0),
+        "cache": None,
+    }
     source = KITTI360(str(root), SEQUENCES, **options | changes)
     source.prepare()
     return source
@@ -46,9 +53,13 @@ def test_it_keeps_the_contracts_and_joins_frames_by_number(root):
 
 
 def test_the_cameras_are_where_the_calibration_says(root):
-    rigs = {names: source_of(root, cameras=list(names)).rig for names in (
-        ("image_00", "image_01", "image_02", "image_03"), ("image_02", "image_03"),
-    )}  # fmt: skip
+    rigs = {
+        names: source_of(root, cameras=list(names)).rig
+        for names in (
+            ("image_00", "image_01", "image_02", "image_03"),
+            ("image_02", "image_03"),
+        )
+    }
     four, two = rigs.values()
     # the origin does not depend on which cameras are used; it is the mean of all four
     torch.testing.assert_close(four.ego_from_camera[2:], two.ego_from_camera)
@@ -89,15 +100,23 @@ def test_the_calibration_gives_the_poses_of_the_devkit(tmp_path):
     write_calibration(tmp_path / "calibration")
     np.testing.assert_allclose(
         velodyne_pose(tmp_path / "calibration")[:3],
-        ((0.999929063, 0.0057743, 0.010417564, 0.771049336), (0.005805356, -0.999978788, -0.002953306, 0.298541436),
-         (0.01040029, 0.003013574, -0.999941374, -0.836280219)), atol=2e-6,
-    )  # fmt: skip
+        (
+            (0.999929063, 0.0057743, 0.010417564, 0.771049336),
+            (0.005805356, -0.999978788, -0.002953306, 0.298541436),
+            (0.01040029, 0.003013574, -0.999941374, -0.836280219),
+        ),
+        atol=2e-6,
+    )
     _, pose = rectified(tmp_path / "calibration", "image_00")
     np.testing.assert_allclose(
         pose[:3, :3],
-        ((0.037793348, -0.101579352, 0.994109107), (0.999284179, 0.00190333, -0.037795329),
-         (0.001946805, 0.994825851, 0.101577759)), atol=2e-6,
-    )  # fmt: skip
+        (
+            (0.037793348, -0.101579352, 0.994109107),
+            (0.999284179, 0.00190333, -0.037795329),
+            (0.001946805, 0.994825851, 0.101577759),
+        ),
+        atol=2e-6,
+    )
     other = rectified(tmp_path / "calibration", "image_01")[1]
     assert (np.linalg.inv(pose) @ other)[:3, 3] == pytest.approx((0.594183404, 0, 0), abs=1e-4)
     assert (FLIP @ pose)[2, 2] < 0  # it looks down
@@ -117,15 +136,24 @@ def test_the_calibration_gives_the_poses_of_the_devkit(tmp_path):
             "100 1 0 0 0 0 1 0 0 0 0 1 0\n" * 2,
             r"poses\.txt, line 2: '100' is",
         ),
-        ("data_poses/2013_05_28_drive_0000_sync/poses.txt", " ".join(["1"] * 12) + "\n" + " ".join(["1"] * 14),
-         r"poses\.txt, line 1: it has 11 numbers"),
+        (
+            "data_poses/2013_05_28_drive_0000_sync/poses.txt",
+            " ".join(["1"] * 12) + "\n" + " ".join(["1"] * 14),
+            r"poses\.txt, line 1: it has 11 numbers",
+        ),
         ("calibration/perspective.txt", "R_rect_00: 1\nR_rect_00: 2\n", "line 2: the line 'R_rect_00' stands twice"),
-        ("data_3d_raw/2013_05_28_drive_0000_sync/velodyne_points/data/0000000100.bin", "12345",
-         r"KITTI-360, scene '00', frame 0: .*0000000100\.bin: the file has 5 bytes"),
-        ("data_2d_raw/2013_05_28_drive_0000_sync/image_02/data_rgb/0000000100.png", "no image",
-         r"frame 0: .*0000000100\.png: the file is no image"),
+        (
+            "data_3d_raw/2013_05_28_drive_0000_sync/velodyne_points/data/0000000100.bin",
+            "12345",
+            r"KITTI-360, scene '00', frame 0: .*0000000100\.bin: the file has 5 bytes",
+        ),
+        (
+            "data_2d_raw/2013_05_28_drive_0000_sync/image_02/data_rgb/0000000100.png",
+            "no image",
+            r"frame 0: .*0000000100\.png: the file is no image",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
     root = write_kitti360(tmp_path)
     (root / file).write_text(content)

@@ -42,8 +42,10 @@ def test_it_keeps_the_contracts_and_splits_as_published(root):
     source = source_of(root)
     assert isinstance(source, SceneSource)
     assert {split: [scene.name for scene in source.scenes(split)] for split in ("train", "val", "test")} == {
-        "train": ["scene-0001"], "val": ["scene-0002"], "test": ["scene-0003"],
-    }  # fmt: skip
+        "train": ["scene-0001"],
+        "val": ["scene-0002"],
+        "test": ["scene-0003"],
+    }
     scene = source.scenes("test")[0]
     assert isinstance(scene, SceneFrames)
     assert isinstance(source.labels(GRID, "none"), VoxelLabels)
@@ -311,10 +313,15 @@ def test_the_real_label_has_the_published_counts(label):
 
 ONE = ((0.985793, 0.0, 1.84019),)
 EIGHT = (
-    (0.985793, 0, 1.84019), (5.24657, -0.078224, 1.911887), (9.467206, -0.280781, 1.985268),
-    (13.658517, -0.573969, 2.041464), (22.112557, -1.49188, 2.161954), (26.390237, -2.1845, 2.254673),
-    (30.765324, -2.970935, 2.344705), (35.120997, -3.813812, 2.443711),
-)  # fmt: skip
+    (0.985793, 0, 1.84019),
+    (5.24657, -0.078224, 1.911887),
+    (9.467206, -0.280781, 1.985268),
+    (13.658517, -0.573969, 2.041464),
+    (22.112557, -1.49188, 2.161954),
+    (26.390237, -2.1845, 2.254673),
+    (30.765324, -2.970935, 2.344705),
+    (35.120997, -3.813812, 2.443711),
+)
 
 
 @pytest.mark.parametrize(
@@ -328,7 +335,7 @@ EIGHT = (
         (EIGHT, lambda s, m: np.roll(s, 1, 0), (0.7462102, 0.7270022, 0.7491322, 0.7624963)),
         (EIGHT, lambda s, m: np.where(m, s, 17), (0.9032693, 0.8931333, 0.9050290, 0.9116456)),
     ],
-)  # fmt: skip
+)
 def test_rayiou_of_a_real_label_is_that_of_the_public_kernel(label, origins, change, expected):
     """Values of the public script's kernel on this label; it works in float32, so that a few rays may differ."""
     truth = torch.from_numpy(from_file(label["semantics"]))[None]
@@ -394,7 +401,7 @@ def restricted_pickle(path):
         (40, 0, 8, {1: (7.92817, -3.091017, 1.891035), 7: (2.310708, -38.62442, 2.329972)}),
         (40, 20, 8, {0: (-5.516706, -33.727669, 1.816533), 7: (37.464498, -1.619778, 1.168821)}),
     ],
-)  # fmt: skip
+)
 def test_origins_of_rays_follow_from_real_poses(samples, first, frame, count, some):
     infos = restricted_pickle(samples / "nuscenes_infos_val_mini" / "nuscenes_infos_val_mini_sweep.pkl")["infos"]
     scene = infos[first : first + 40 + (first > 0)]
@@ -419,7 +426,7 @@ def test_origins_of_rays_follow_from_real_poses(samples, first, frame, count, so
         ((15, 2, 0), (639.38645, 625.51842), (634.68645, 627.89052)),
         ((30, -5, 1), (1045.57439, 508.38655), (1048.12993, 507.437)),
     ],
-)  # fmt: skip
+)
 def test_a_real_camera_sees_points_where_the_devkit_does(samples, point, moved, mounted):
     info = restricted_pickle(next((samples / "nuscenes_demo").glob("*.pkl")))["data_list"][0]
     camera, lidar = info["images"]["CAM_FRONT"], np.array(info["lidar_points"]["lidar2ego"])

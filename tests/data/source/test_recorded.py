@@ -54,8 +54,11 @@ def test_the_scenes_and_labels_are_those_of_the_world_that_recorded_them(world, 
         assert [scene.name for scene in source.scenes(split)] == [scene.name for scene in world.scenes(split)]
     ours, theirs = source.spec, world.spec
     assert (ours.classes, ours.range_edges_m, ours.frame_interval_s, ours.road_z_m) == (
-        theirs.classes, theirs.range_edges_m, theirs.frame_interval_s, theirs.road_z_m,
-    )  # fmt: skip
+        theirs.classes,
+        theirs.range_edges_m,
+        theirs.frame_interval_s,
+        theirs.road_z_m,
+    )
     assert torch.equal(ours.lidar_directions, theirs.lidar_directions)
     scene = source.scenes("train")[0]
     labels, expected = (one.labels(GRID, "none") for one in (source, world))

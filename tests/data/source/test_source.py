@@ -21,8 +21,13 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
 ]
 PATTERNS = {split: [f"{split}-*"] for split in ("train", "val", "test")}
-GRID = ["model/geometry=cuboid", "model.geometry.shape=[20,16,4]", "model.geometry.x_m=[-40,40]",
-        "model.geometry.y_m=[-32,32]", "model.geometry.height_m=[-1.0,5.4]"]  # fmt: skip
+GRID = [
+    "model/geometry=cuboid",
+    "model.geometry.shape=[20,16,4]",
+    "model.geometry.x_m=[-40,40]",
+    "model.geometry.y_m=[-32,32]",
+    "model.geometry.height_m=[-1.0,5.4]",
+]
 
 
 @pytest.fixture
@@ -46,9 +51,14 @@ def train(cfg):
     task = build_task(Parts(cfg), data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     trainer = Trainer(
-        accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
-        enable_checkpointing=False, num_sanity_val_steps=0, max_steps=3,
-    )  # fmt: skip
+        accelerator="cpu",
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        enable_checkpointing=False,
+        num_sanity_val_steps=0,
+        max_steps=3,
+    )
     trainer.fit(task, datamodule=data)
     logged = dict(trainer.logged_metrics)
     return logged, trainer.test(task, datamodule=data, verbose=False)[0]

@@ -136,8 +136,11 @@ def test_edges_of_panoramas_are_elevations(edges, said, tmp_path):
 
 
 SPEC = {
-    "classes": WORLD_CLASSES.to_dict(), "range_edges_m": [0.0, 8.5, 25.6], "frame_interval_s": 0.5, "road_z_m": -2.0
-}  # fmt: skip
+    "classes": WORLD_CLASSES.to_dict(),
+    "range_edges_m": [0.0, 8.5, 25.6],
+    "frame_interval_s": 0.5,
+    "road_z_m": -2.0,
+}
 
 
 def _classes(key: str, **row: object) -> dict[str, object]:

@@ -7,7 +7,8 @@ import pytest
 from log_files import write_bin, write_pcd, write_ply
 
 from omniocc.data import DataError
-from omniocc.data.formats.clouds import _lzf, out_of_reach, read_cloud, read_scan
+from omniocc.data.check_source import out_of_reach
+from omniocc.data.formats.clouds import _lzf, read_cloud, read_scan
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-50, 50, (401, 3)).astype(np.float32)  # odd: a quarter of it is no whole number

@@ -197,11 +197,13 @@ def test_blocks_reach_as_far_as_their_kernels_say():
     assert reach(Context(8, NETWORK_GRID.periodic)) == cross
 
 
-def test_context_against_its_formula():
-    context = Context(8, NETWORK_GRID.periodic)
-    volume = torch.randn(2, 8, *NETWORK_GRID.shape)
-    gates = [torch.sigmoid(norm(conv(volume))) for conv, norm in zip(context.convs, context.norms, strict=True)]
-    assert torch.allclose(context(volume), volume * (gates[0] + gates[1] + gates[2]), atol=1e-6)
+def test_gates_of_context_are_half_open_without_weights_and_open_far_above_zero():
+    context, volume = Context(8, NETWORK_GRID.periodic), torch.randn(2, 8, *NETWORK_GRID.shape)
+    for norm, bias, expected in ((0.0, 0.0, 1.5), (0.0, 30.0, 3.0), (0.0, -90.0, 0.0)):
+        for part in context.norms:
+            torch.nn.init.constant_(part.weight, norm)
+            torch.nn.init.constant_(part.bias, bias)
+        torch.testing.assert_close(context(volume), expected * volume)
 
 
 @pytest.mark.parametrize("shape", [(7, 12, 3), (5, 8, 1)])

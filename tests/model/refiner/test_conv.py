@@ -1,63 +1,72 @@
+"""Tests of both refiners with a pyramid of levels."""
+
+import itertools
+
 import pytest
 import torch
-from torch.nn import functional as F
 
+from omniocc.extras.rivals import ChannelToHeight
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.refiner import Conv
-from omniocc.model.refiner.conv import block as make_block
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
-
 CYLINDER, CUBOID = Cylinder((6, 8, 4)), Cuboid((5, 6, 3))
 
 
-def convolve(volume, weight, periodic):
-    """3x3x3 convolution of one sample by shifts: (D, X, Y, Z) of (C, X, Y, Z)."""
-    total = 0
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            for dz in (-1, 0, 1):
-                moved = volume
-                for axis, step in enumerate((dx, dy, dz), start=1):
-                    moved = moved.roll(-step, axis)
-                    if step and not periodic[axis - 1]:
-                        moved = moved.clone().index_fill_(
-                            axis, torch.tensor(moved.shape[axis] - 1 if step > 0 else 0), 0
-                        )
-                total = total + torch.einsum("dc,cxyz->dxyz", weight[:, :, dx + 1, dy + 1, dz + 1], moved)
-    return total
+def conv(geometry, channels, blocks):
+    return Conv(geometry, 4, channels, blocks)
 
 
-def normalize(volume, norm):
-    """Group norm of one sample by hand."""
-    groups = volume.reshape(norm.num_groups, -1)
-    spread = groups.var(1, correction=0, keepdim=True)
-    unit = ((groups - groups.mean(1, keepdim=True)) / (spread + norm.eps).sqrt()).view(volume.shape)
-    return unit * norm.weight[:, None, None, None] + norm.bias[:, None, None, None]
+def channel_to_height(geometry, channels, blocks):
+    return ChannelToHeight(geometry, 4, 5, channels, blocks)
+
+
+@pytest.fixture(params=[conv, channel_to_height])
+def build(request):
+    return request.param
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("geometry", [CYLINDER, CUBOID], ids=["cylinder", "cuboid"])
-def test_a_block_equals_its_formula(geometry):
-    block = make_block(8, geometry.periodic).double()
-    for norm in (block.first_norm, block.second_norm):
-        torch.nn.init.normal_(norm.weight)
-        torch.nn.init.normal_(norm.bias)
-    volume = torch.randn(8, *geometry.shape, dtype=torch.float64)
-    hidden = normalize(convolve(volume, block.first.weight, geometry.periodic), block.first_norm).clamp(min=0)
-    change = normalize(convolve(hidden, block.second.weight, geometry.periodic), block.second_norm)
-    torch.testing.assert_close(block(volume[None])[0], (volume + change).clamp(min=0))
+@pytest.mark.parametrize("roll", [2, 6])
+def test_rotating_the_world_rotates_the_volume(build, roll):
+    refiner = build(CYLINDER, [8, 16], [1, 2]).double()
+    volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
+    rolled = refiner(volume.roll(roll, dims=3), SKETCHED)
+    torch.testing.assert_close(rolled, refiner(volume, SKETCHED).roll(roll, dims=3))
 
 
-@torch.no_grad()
-def test_levels_are_merged_as_if_laid_side_by_side_and_mixed():
-    refiner = Conv(Cuboid((8, 8, 4)), 4, [8, 16], [1, 1]).double()
-    volume = torch.randn(2, 4, 8, 8, 4, dtype=torch.float64)
-    fine = refiner.stages[0](refiner.stem(volume))
-    coarse = refiner.stages[1](refiner.down[0](fine))
-    wide = torch.cat([fine, F.interpolate(coarse, scale_factor=2, mode="trilinear")], dim=1)
-    weight = torch.cat([merge.weight for merge in refiner.merge], dim=1)
-    bias = refiner.merge[0].bias + refiner.merge[1].bias
-    mixed = torch.einsum("dc,bcxyz->bdxyz", weight, wide) + bias[:, None, None, None]
-    torch.testing.assert_close(refiner(volume, SKETCHED), refiner.norm(mixed).clamp(min=0))
+def test_a_block_sees_two_cells_around_and_across_the_seam(build):
+    geometry = Cylinder((9, 12, 7))
+    refiner = build(geometry, [8], [1])
+    for module in refiner.modules():  # the norm depends on the whole sample
+        if isinstance(module, torch.nn.GroupNorm):
+            module.forward = lambda volume: volume
+    volume = torch.randn(1, 4, *geometry.shape, requires_grad=True)
+    refiner(volume, SKETCHED)[0, :, 4, 1, 3].sum().backward()
+    reached = {tuple(cell) for cell in volume.grad.abs().sum((0, 1)).nonzero().tolist()}
+    heights = range(7) if build is channel_to_height else range(1, 6)  # each view sees whole columns
+    assert reached == set(itertools.product(range(2, 7), (11, 0, 1, 2, 3), heights))
+
+
+def test_training_reaches_every_parameter_on_odd_sizes(build):
+    refiner = build(CUBOID, [8, 8, 16], [1, 1, 1])
+    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
+    assert output.shape == (2, refiner.channels, *CUBOID.shape)
+    (output * torch.randn_like(output)).sum().backward()
+    for name, parameter in refiner.named_parameters():
+        assert parameter.grad.abs().sum() > 0, name
+
+
+@pytest.mark.parametrize(
+    ("geometry", "channels", "blocks", "message"),
+    [
+        (CYLINDER, [8, 8], [1], "one number each"),
+        (CYLINDER, [], [], "one number each"),
+        (Cylinder((4, 6, 2)), [8, 8, 8], [1, 1, 1], "multiples of 4.* 6"),
+        (CUBOID, [8, 12], [1, 1], "multiple of 8"),
+    ],
+)
+def test_sizes_that_do_not_fit_are_named(build, geometry, channels, blocks, message):
+    with pytest.raises(ValueError, match=message):
+        build(geometry, channels, blocks)

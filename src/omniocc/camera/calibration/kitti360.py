@@ -39,7 +39,7 @@ def read_kitti360(content: Any, name: str) -> Calibration:
         (number(projection, "u0"), number(projection, "v0")),
         number(mirror, "xi"),
         tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
-        180.0,
+        max_angle_deg=180.0,
     )
     return single(camera, str(content.get("camera_name", name)))
 

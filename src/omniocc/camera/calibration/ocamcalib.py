@@ -30,7 +30,9 @@ def read_ocamcalib(text: str, name: str) -> Calibration:
     if not (height.is_integer() and width.is_integer()):
         raise ValueError(f"{LINES[4]} is '{' '.join(lines[4])}'; it must be whole numbers of pixels")
     center_px = (center[1], center[0])
-    return single(OCam(int(width), int(height), center_px, polynomial, inverse, tuple(affine), 180.0), name)
+    return single(
+        OCam(int(width), int(height), center_px, polynomial, inverse, tuple(affine), max_angle_deg=180.0), name
+    )
 
 
 def counted(name: str, values: list[float]) -> tuple[float, ...]:

@@ -115,13 +115,13 @@ def _kalibr_camera(entry: dict[str, Any]) -> Camera:
             return Pinhole(width, height, (fx, fy), (cx, cy))
     if lens == "omni" and (distortion == "radtan" or undistorted):
         xi, fx, fy, cx, cy = row(entry, 5, "intrinsics")
-        return MEI(width, height, (fx, fy), (cx, cy), xi, coefficients or (0.0, 0.0, 0.0, 0.0), 180.0)
+        return MEI(width, height, (fx, fy), (cx, cy), xi, coefficients or (0.0, 0.0, 0.0, 0.0), max_angle_deg=180.0)
     if lens == "ds" and undistorted:
         xi, alpha, fx, fy, cx, cy = row(entry, 6, "intrinsics")
-        return DoubleSphere(width, height, (fx, fy), (cx, cy), xi, alpha, 180.0)
+        return DoubleSphere(width, height, (fx, fy), (cx, cy), xi, alpha, max_angle_deg=180.0)
     if lens == "eucm" and undistorted:
         alpha, beta, fx, fy, cx, cy = row(entry, 6, "intrinsics")
-        return EUCM(width, height, (fx, fy), (cx, cy), alpha, beta, 180.0)
+        return EUCM(width, height, (fx, fy), (cx, cy), alpha, beta, max_angle_deg=180.0)
     raise ValueError(
         f"camera_model {lens} with distortion_model {distortion} is not supported; supported are "
         "pinhole-equidistant, pinhole-none, omni-radtan, omni-none, ds-none and eucm-none: calibrate with one of them"
@@ -163,7 +163,7 @@ def _omnimvs_camera(entry: dict[str, Any]) -> OCam:
         counted("poly", row(entry, None, "poly")),
         counted("inv_poly", row(entry, None, "inv_poly")),
         tuple(row(entry, 3, "affine")),
-        number(entry, "max_fov") / 2,
+        max_angle_deg=number(entry, "max_fov") / 2,
     )
 
 

@@ -12,7 +12,7 @@ from omniocc.camera.ops.focal_camera import FocalCamera
 from omniocc.camera.ops.polynomial import derivative, invert_polynomial, positive_until
 from omniocc.camera.protocol import angle_from_axis, check_fields, finite, four_numbers
 
-NEWTON_STEPS = 6
+NEWTON_STEPS = 6  # measured: 4 bring every pixel to rounding, also at k1 = -0.2
 COSINE_MARGIN = 1e-3  # below xi = 1 the model reaches infinity at cos = -xi: it ends this much before
 
 
@@ -108,6 +108,7 @@ class MEI(FocalCamera):
                 step = self._newton_step(plane, self._distorted(plane) - distorted)
                 plane = (plane - step).clamp(-2 * limit, 2 * limit)
             reached = self._distorted(plane)
+            # float arithmetic of the distortion rounds several times, in proportion to the radius
             tolerance = 256 * torch.finfo(distorted.dtype).eps * (1 + radius)
             converged = (reached - distorted).abs().amax(-1) <= tolerance
         distorted = torch.where(converged[..., None], distorted, reached)

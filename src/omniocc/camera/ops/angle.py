@@ -15,8 +15,8 @@ def theta_over_radius(
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
     """Return the angle from the axis divided by the distance from it, the angle, and whether the quotient is defined.
 
-    Near the axis, where the quotient is 0/0, its series is used; the unused branch gets valid arguments, because
-    autograd evaluates both.
+    Near the axis, where the quotient is 0/0, two terms of its series are used: the next one is below rounding there.
+    The unused branch gets valid arguments, because autograd evaluates both.
     """
     x, y, z = points.unbind(-1)
     squared = x.square() + y.square()
@@ -61,6 +61,7 @@ def rays_of_polynomial(
 
 def unit(points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
     """Return points moved onto the unit sphere, and whether they have a direction; the origin stays at 0."""
+    # squares of far or near points in float32 would overflow or vanish
     largest = points.abs().amax(-1, keepdim=True).detach()
     scaled = points / torch.where(largest > 0, largest, 1)
     squared = scaled.square().sum(-1, keepdim=True)

@@ -63,6 +63,7 @@ def invert_increasing(
     targets = values.clamp(table[0].item(), table[-1].item())
     with torch.no_grad():
         x = _search(function, slope, targets, nodes, table)
+        # at a turning point the slope is 0, and the gradient of the inverse infinite
         steepness = slope(x).clamp(min=torch.finfo(values.dtype).eps ** 0.5)
         error = function(x)
     return (x - (error - targets) / steepness).clamp(start, stop)

@@ -21,12 +21,6 @@ TINIEST_M, FARTHEST_M = 1e-6, 1e4
 """Coordinates that a LiDAR measures, in absolute value."""
 MOST_OTHERS = 0.01
 """Largest fraction of other coordinates in a file whose numbers are of the right type and unit."""
-LEAST_NEAR = 1e-3
-"""Fraction of the points of a scan, at least, that lies within the reach of the scores."""
-FAR_M = 256.0
-"""Median distance of points that no LiDAR on a car measures; points beyond are not even stored."""
-CLUSTERED = 0.2
-"""Spread of points in world coordinates about their middle as a fraction of their distance, at most."""
 MOST_COLUMNS = 32
 """Largest number of columns of an array of points; one with more has a column for each point."""
 LZF_RATIO = 88
@@ -105,35 +99,6 @@ def read_rows(path: Path, columns: int) -> Float32[np.ndarray, "R columns"]:
     if not len(rows):
         raise DataError(f"{path}: the file is empty; copy it again")
     return rows
-
-
-def distances_m(points_m: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " F"]:
-    """Return the horizontal distance of the points that are finite from the origin of their frame, m."""
-    return np.linalg.norm(points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64), axis=1)
-
-
-def out_of_reach(points_m: Float[np.ndarray, "P 3"], reach_m: float) -> str:
-    """Return a line if hardly any point of a scan, ego frame, lies within a horizontal distance, and why; else ''.
-
-    World coordinates lie close together and far away; in another unit points still lie around the car.
-    """
-    distance_m = distances_m(points_m)
-    near, total = int((distance_m < reach_m).sum()), len(distance_m)
-    if near and near >= LEAST_NEAR * total:
-        return ""
-    found = f"{near:,} of its {total:,} points lie" if near else f"none of its {total:,} points lies"
-    median_m = float(np.median(distance_m)) if total else np.nan
-    if not total:
-        likely = "rays that did not come back and points on the own car are left out"
-    elif median_m < FAR_M:
-        likely = f"their median distance is {median_m:,.0f} m; are the unit (m) and the pose of the LiDAR right?"
-    else:
-        middle_m = np.nanmedian(points_m.astype(np.float64), axis=0)
-        spread_m = np.median(distances_m(points_m - middle_m))
-        world = "world coordinates (UTM, map): give them in the frame of the LiDAR"
-        looks = world if spread_m < median_m * CLUSTERED else "millimetres or another unit: give them in metres"
-        likely = f"their median distance is {median_m:,.0f} m, which looks like {looks}"
-    return f"{found} within {reach_m:g} m: {likely}"
 
 
 def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> RawCloud:

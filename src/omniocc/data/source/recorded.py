@@ -125,7 +125,9 @@ class Recorded:
                 f"{self.root}: points of rendered scenes end at {reach_m[0]:g} m, those of logs do not, and this grid "
                 "reaches farther: choose scenes of one kind by data.source.splits, or a smaller grid"
             )
-        return VoxelCache(self.folder, geometry, ignore, self.fingerprint, classes, self.workers, self._masks, reach_m)
+        return VoxelCache(
+            self.folder, geometry, ignore, self.fingerprint, classes, self.workers, masks=self._masks, reach_m=reach_m
+        )
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""

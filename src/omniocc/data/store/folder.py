@@ -64,7 +64,7 @@ def read_index(plain: Mapping[str, Any]) -> Index:
         size,
         crc32,
         np.array([entry["time_s"] for entry in entries], np.float64),
-        np.array([entry["world_from_ego"] for entry in entries] or np.empty((0, 4, 4)), np.float64),
+        world_from_ego=np.array([entry["world_from_ego"] for entry in entries] or np.empty((0, 4, 4)), np.float64),
     )
 
 

@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
-from omniocc.data.formats.clouds import FAR_M, distances_m, out_of_reach
+from omniocc.data.check_source import FAR_M, distances_m, out_of_reach
 from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.poses import transform_points
 from omniocc.data.formats.projected import onto_cameras, onto_panorama

@@ -48,7 +48,17 @@ class CoarseColoring(nn.Module):
         self.channels = channels
         self.block: Axes = (block, block, block)
         grid = coarsened(geometry, self.block)
-        self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors, evidence)
+        self.coloring = Coloring(
+            grid,
+            channels,
+            levels,
+            layers,
+            heads,
+            points,
+            feedforward_channels=feedforward_channels,
+            anchors=anchors,
+            evidence=evidence,
+        )
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the blocks that hold candidates."""

@@ -61,7 +61,15 @@ class Pillar(nn.Module):
         self.block: Axes = (1, 1, cells)
         view, anchors = coarsened(geometry, self.block), pillar_anchors(cells, heights)
         self.coloring = Coloring(
-            view, in_channels, levels, layers, heads, points, feedforward_channels, anchors, evidence
+            view,
+            in_channels,
+            levels,
+            layers,
+            heads,
+            points,
+            feedforward_channels=feedforward_channels,
+            anchors=anchors,
+            evidence=evidence,
         )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 

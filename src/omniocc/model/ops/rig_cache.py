@@ -34,7 +34,7 @@ class RigCache:
         self.limit_bytes = limit_bytes
         self._rigs: OrderedDict[Rig, dict[Hashable, Any]] = OrderedDict()
         self._bytes: dict[Rig, int] = {}
-        self._lock = RLock()
+        self._lock = RLock()  # a result may be computed from others of this cache
 
     def __len__(self) -> int:
         return len(self._rigs)

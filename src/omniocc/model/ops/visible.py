@@ -15,6 +15,7 @@ from omniocc.model.ops.rig_cache import once_per_rig
 Anchors = tuple[tuple[float, float, float], ...]
 CENTRE: Anchors = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
+"""Coordinate of anchors that no camera sees: thousands of image widths away, which offsets of pixels do not bridge."""
 
 
 class Pairs(NamedTuple):

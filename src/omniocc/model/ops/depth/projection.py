@@ -28,11 +28,15 @@ from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
 
 TAPER = 0.08
-"""Width of the band at the edge of a camera's field where its weight falls to zero, in image heights."""
+"""Width of the band at the edge of a camera's field where its weight falls to zero, in image heights: without it the
+mean over cameras would jump where one of them stops seeing."""
 BLOCK_ROWS = 1 << 16
+"""Rows of a block of a sampling matrix, at most."""
 FAR_M = 1e6
+"""Range of the points on the sphere at infinity, whose inverse range is 0."""
 LEAST_PRESENT = 0.05
-"""Lower limit of the fraction of present cameras by which a point's features are divided."""
+"""Lower limit of the fraction of present cameras by which a point's features are divided: a smaller one would enlarge
+what hardly any camera sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +214,7 @@ def _taps(
     columns, rows = -(-model.width * width // frame_width), -(-model.height * height // frame_height)
     x = ((pixels[:, 0] + 0.5) * width / frame_width - 0.5).clamp(0, columns - 1)
     y = ((pixels[:, 1] + 0.5) * height / frame_height - 0.5).clamp(0, rows - 1)
+    # the right and lower neighbours are pixels of the map too, at its edge with weight 0
     left, top = x.floor().clamp(max=max(width - 2, 0)), y.floor().clamp(max=max(height - 2, 0))
     fx, fy = x - left, y - top
     corner = (camera * height + top.long()) * width + left.long()
@@ -233,7 +238,7 @@ def _entries(rig: Rig, projection: Projection, points_m: Float[Tensor, "P 3"]) -
     for order, (camera, (pixels, valid)) in enumerate(zip(projection.cameras, projected, strict=True)):
         seen = valid.nonzero()[:, 0]
         columns, values = _taps(rig, camera, pixels[seen], *projection.feature_size)
-        kept = values > 1e-6
+        kept = values > 1e-6  # where all that see a point have weight 0, its row would be divided by 0
         rows = seen[:, None].expand_as(columns)
         for number, side in enumerate(sides):
             own = kept if place is None else kept & (place[order, seen] % 2 == number)[:, None]
@@ -248,6 +253,7 @@ def _places(
     poses = rig.ego_from_camera[list(cameras)]
     toward = F.normalize(points_m - poses[:, None, :3, 3], dim=-1)
     cosine = (toward * poses[:, None, :3, 2]).sum(-1)
+    # -2 is below every cosine
     order = torch.argsort(cosine.where(torch.stack(list(valid)), -2), dim=0, descending=True, stable=True)
     return torch.argsort(order, dim=0)
 
