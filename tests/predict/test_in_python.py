@@ -71,9 +71,7 @@ def test_a_rig_at_another_height_moves_the_grid(tmp_path, capsys, composed, monk
 def test_what_a_checkpoint_does_not_hold_is_said_in_one_way():
     trained = omniocc.load("any-rig", ["depth.panorama.bottom_deg=-60"])
     assert trained.model.panorama.bottom_deg == -60
-    with pytest.raises(
-        UserError, match=r"any-rig.*is a checkpoint of the depth stage; this needs one of the occupancy"
-    ):
+    with pytest.raises(UserError, match=r"any-rig.*depth stage.*occupancy"):
         trained.task  # noqa: B018 - it is built when it is asked for
     with pytest.raises(UserError, match=r"depth.hints: this has no effect on"):
         omniocc.load("tiny", ["depth.hints=false"]).model  # noqa: B018

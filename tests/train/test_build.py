@@ -19,7 +19,7 @@ def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
         pytest.skip("this machine has a GPU")
     with pytest.raises(UserError) as caught:
         check_devices(Parts(smoke("trainer.accelerator=gpu")))
-    assert str(caught.value).startswith("trainer.accelerator=gpu trainer.devices=1 trainer.strategy=auto: this machine")
+    assert str(caught.value).startswith("trainer.accelerator=gpu trainer.devices=1 trainer.strategy=auto:")
     assert "\n" not in str(caught.value)
 
 

@@ -268,7 +268,7 @@ def test_a_training_that_is_ended_between_steps_does_not_pass_for_finished(tmp_p
     )
     with pytest.raises(SystemExit) as ended:
         trainer.fit(BoringModel())
-    assert ended.value.code == "ended by SIGTERM after step 3; the same command goes on from its checkpoint"
+    assert "SIGTERM after step 3; the same command goes on" in str(ended.value.code)
 
 
 @pytest.mark.parametrize("number", [STOP, signal.SIGTERM])

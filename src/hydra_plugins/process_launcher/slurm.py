@@ -31,7 +31,7 @@ STOP = signal.SIGUSR2
 MARGIN_S = 30.0
 """Time before the limit at which a command that has not ended by itself is ended, s."""
 POLL_S = 0.5
-LIMIT = 75
+LIMIT = os.EX_TEMPFAIL
 """Exit code of a command that has reached the time limit too often."""
 
 
@@ -127,7 +127,7 @@ ASK_EVERY_S = 10.0
 GONE_S = 30.0
 """Time for the exit code of a job that Slurm has ended to appear on a shared file system, s."""
 ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "OUT_OF_MEMORY", "NODE_FAIL", "BOOT_FAIL", "DEADLINE")
-LOST = 70
+LOST = os.EX_SOFTWARE
 """Exit code of a job that left none."""
 
 

@@ -27,7 +27,9 @@ def processor() -> str:
 
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Numbers of the options in glibc's malloc.h."""
 LARGEST_BLOCK, LARGEST_REST = 2**30, 2**31 - 1
+"""Bytes of the largest block that is reused, and of the most that is kept: the largest that mallopt's int holds."""
 
 
 def keep_freed_memory() -> None:

@@ -75,7 +75,8 @@ def is_matrix(parameter: Tensor) -> bool:
 
 def orthogonal(matrix: Float[Tensor, "M N"]) -> Float[Tensor, "M N"]:
     """Return a matrix with the same singular vectors and singular values of about 1 (0.7 to 1.2)."""
-    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T
+    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T  # so that `square` is the smaller product
+    # divided by the norm no singular value is above 1, where the iteration converges
     wide = wide.float() / wide.norm().clamp(min=1e-7)
     first, third, fifth = COEFFICIENTS
     for _ in range(ITERATIONS):
