@@ -47,9 +47,13 @@ def write(upgrade: bool) -> None:
         torch.write_text(TORCH)
         pins.write_text("" if upgrade else FILE.read_text())
         compiled(
-            "pyproject.toml", "--extra=dev", "--universal", f"--python-version={pythons()[0]}",
-            f"--constraint={torch}", f"--output-file={pins}",
-        )  # fmt: skip
+            "pyproject.toml",
+            "--extra=dev",
+            "--universal",
+            f"--python-version={pythons()[0]}",
+            f"--constraint={torch}",
+            f"--output-file={pins}",
+        )
         lines = [line.removesuffix(HERE) for line in pins.read_text().splitlines() if not LEFT_OUT.match(line)]
     FILE.write_text(HEADER + "\n".join(lines) + "\n")
     print(f"{FILE.name}: {len(lines)} versions")
@@ -60,9 +64,13 @@ def check() -> None:
     for python in pythons():
         source = [f"--no-binary={name}" for name in SOURCE_ONLY]
         found = compiled(
-            FILE.name, "--no-deps", "--only-binary=:all:", *source,
-            f"--python-version={python}", "--python-platform=x86_64-manylinux_2_28",
-        )  # fmt: skip
+            FILE.name,
+            "--no-deps",
+            "--only-binary=:all:",
+            *source,
+            f"--python-version={python}",
+            "--python-platform=x86_64-manylinux_2_28",
+        )
         print(f"Python {python}: wheels of {len(found.splitlines())} versions")
 
 

@@ -98,9 +98,11 @@ def score(range_m: Float[Tensor, "h w"], panorama: Equirectangular, rig: Rig) ->
     distance_m = bodies_m.norm(dim=-1)
     wrong = ((range_m[rows, columns] - distance_m) / distance_m).abs()
     return Score(
-        float(answered.double().mean()), float((error < NEAR_ROAD).double().mean()), float(error[answered].median()),
+        float(answered.double().mean()),
+        float((error < NEAR_ROAD).double().mean()),
+        float(error[answered].median()),
         int((seen & (wrong < NEAR_THING)).sum()),
-    )  # fmt: skip
+    )
 
 
 def predicted(model: nn.Module, folder: Path, rig: Rig, image_width: int | None) -> Float[Tensor, "h w"]:

@@ -31,9 +31,11 @@ NEAREST_M = 2.5
 BODY_M = 0.5
 """Height above the road from which points count as standing things."""
 ARRAYS = {
-    "numpy.ndarray", "numpy.dtype", "_codecs.encode",
+    "numpy.ndarray",
+    "numpy.dtype",
+    "_codecs.encode",
     *(f"{core}.multiarray.{name}" for core in ("numpy.core", "numpy._core") for name in ("_reconstruct", "scalar")),
-}  # fmt: skip
+}
 """Names by which pickles of arrays and numbers of numpy are read."""
 EDGES_M = (8.5, 17.0, 25.6)
 

@@ -38,12 +38,19 @@ from omniworld.drawn import rig_at, ring_places
 SEEDS = (100, 101, 102, 103)
 HEIGHT_M = 1.2
 DRAWN = (
-    "stage=depth", "preset=tiny", "data.source.rig=random", "data.source.weather=in_turn",
+    "stage=depth",
+    "preset=tiny",
+    "data.source.rig=random",
+    "data.source.weather=in_turn",
     "data.source.themes=[downtown,suburb,industrial,countryside,oldtown,arterial,campus,roundabout,solids,solids]",
-    "data.source.repainted_fraction=0.3", "data.source.lidars=1", "data.source.frame_interval_s=1.0",
-    "data.source.frames_per_scene=2", "data.source.train_scenes=0", "data.source.val_scenes=24",
+    "data.source.repainted_fraction=0.3",
+    "data.source.lidars=1",
+    "data.source.frame_interval_s=1.0",
+    "data.source.frames_per_scene=2",
+    "data.source.train_scenes=0",
+    "data.source.val_scenes=24",
     "data.source.test_scenes=24",
-)  # fmt: skip
+)
 ROAD_M = 0.05
 """Height above or below the stated road up to which a true surface is the road."""
 EDGES_M = (0.0, 4.0, 8.5, 12.0, 17.0, 25.6)

@@ -77,10 +77,16 @@ def overrides_of(file: Path, rig: Rig, scenes: tuple[int, int, int], frames: int
     """Return overrides of `conf/train.yaml` for scenes of a rig."""
     camera, (train_scenes, val_scenes, test_scenes) = rig.cameras[0], scenes
     return [
-        "stage=depth", "preset=tiny", f"data.source.rig={file}", f"data.source.frames_per_scene={frames}",
-        f"data.source.image_size=[{camera.width},{camera.height}]", f"data.source.train_scenes={train_scenes}",
-        f"data.source.val_scenes={val_scenes}", f"data.source.test_scenes={test_scenes}", "data.source.lidars=1",
-    ]  # fmt: skip
+        "stage=depth",
+        "preset=tiny",
+        f"data.source.rig={file}",
+        f"data.source.frames_per_scene={frames}",
+        f"data.source.image_size=[{camera.width},{camera.height}]",
+        f"data.source.train_scenes={train_scenes}",
+        f"data.source.val_scenes={val_scenes}",
+        f"data.source.test_scenes={test_scenes}",
+        "data.source.lidars=1",
+    ]
 
 
 class Scores:

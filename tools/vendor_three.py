@@ -17,10 +17,23 @@ from pathlib import Path
 FOLDER = Path(__file__).parents[1] / "src" / "omniocc" / "extras" / "viewer" / "page" / "vendor"
 ESBUILD = "0.28.2"
 NAMES = (
-    "BufferAttribute", "BufferGeometry", "Color", "DataTexture", "DoubleSide", "Group", "LineBasicMaterial",
-    "LineSegments", "Mesh", "MeshBasicMaterial", "PerspectiveCamera", "Scene", "ShaderMaterial", "Vector3",
-    "WebGLRenderer", "WebGLRenderTarget",
-)  # fmt: skip
+    "BufferAttribute",
+    "BufferGeometry",
+    "Color",
+    "DataTexture",
+    "DoubleSide",
+    "Group",
+    "LineBasicMaterial",
+    "LineSegments",
+    "Mesh",
+    "MeshBasicMaterial",
+    "PerspectiveCamera",
+    "Scene",
+    "ShaderMaterial",
+    "Vector3",
+    "WebGLRenderer",
+    "WebGLRenderTarget",
+)
 """What the page's modules import from three."""
 ENTRY = f"""\
 export {{ {", ".join(NAMES)} }} from "three";

@@ -65,7 +65,6 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
     missing = world.missing(plans)
     if isinstance(world.place, Path):
         print(announcement(world, plans), flush=True)
-    timed = missing and not half_recorded(world, missing)
     began_s = time.monotonic()
     world.prepare(plans)
     elapsed_s = time.monotonic() - began_s
@@ -77,7 +76,7 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
         print(f"all {len(world.plans)} scenes, {whole} frames: {size(round(taken / frames * whole))}", end="")
         frame_s = elapsed_s / (len(missing) * world.frames_per_scene or 1)
         # a place is built once for all frames of a scene, so long scenes are cheaper
-        print(f", at most {clock(frame_s * whole)} with {max(1, world.workers)} processes" if timed else "")
+        print(f", at most {clock(frame_s * whole)} with {max(1, world.workers)} processes" if missing else "")
 
 
 def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
@@ -137,15 +136,10 @@ def frame_bytes(world: VirtualWorld) -> int:
     return round(cameras + panorama + points + OTHER_BYTES)
 
 
-def half_recorded(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
-    """Return the folders in which an interrupted run has left frames of these scenes."""
-    folders = [world.folder / f"{plan.name}.partial" for plan in missing]
-    return [folder for folder in folders if folder.is_dir()]
-
-
 def bytes_to_come(world: VirtualWorld, missing: Sequence[ScenePlan]) -> int:
-    """Return the number of bytes that rendering these scenes will still write after an interrupted run."""
-    written = sum(path.stat().st_size for folder in half_recorded(world, missing) for path in folder.glob("*.tar"))
+    """Return by how many bytes rendering these scenes fills the disk; what an interrupted run left of them goes."""
+    left = (world.folder / f"{plan.name}.partial" for plan in missing)
+    written = sum(path.stat().st_size for folder in left for path in folder.glob("*.tar"))
     return max(0, len(missing) * world.frames_per_scene * frame_bytes(world) - written)
 
 

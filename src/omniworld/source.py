@@ -343,7 +343,7 @@ class VirtualWorld:
 
 
 def record_scene(world: VirtualWorld, folder: Path, report: Report) -> None:
-    """Render the frames that are missing in the folder of a planned scene, then complete it.
+    """Render the frames of a planned scene into its folder, unless it is complete.
 
     Raises:
         RuntimeError: naming scene and frame, when the world fails.
@@ -352,7 +352,6 @@ def record_scene(world: VirtualWorld, folder: Path, report: Report) -> None:
         if writer.finished:
             report(world.frames_per_scene)
             return
-        report(writer.num_frames)
         plan = next(plan for plan in world.plans if plan.name == folder.name)
         _record_frames(world, plan, writer, report)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": world.weather_of(plan)}
@@ -362,11 +361,10 @@ def record_scene(world: VirtualWorld, folder: Path, report: Report) -> None:
 
 
 def _record_frames(world: VirtualWorld, plan: ScenePlan, writer: SceneWriter, report: Report) -> None:
-    index = writer.num_frames
+    index = 0
     try:
-        scene = world.scene(plan) if index < world.frames_per_scene else None
-        for index in range(writer.num_frames, world.frames_per_scene):
-            assert scene is not None
+        scene = world.scene(plan)
+        for index in range(world.frames_per_scene):
             append_frame(writer, scene.frame(index))
             report(1)
     except (DataError, Stopped):

@@ -24,9 +24,15 @@ from omniocc.runs.cost import count_gflop
 from omniocc.runs.machine import keep_freed_memory
 
 SYSTEMS = {
-    "ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet", "FlashOcc": "flashocc",
-    "FoSOcc": "fosocc", "OneOcc": "oneocc", "AdaptiveOcc": "adaptiveocc",
-}  # fmt: skip
+    "ours": "default",
+    "VoxFormer": "voxformer",
+    "BEVFormer": "bevformer",
+    "BEVDet": "bevdet",
+    "FlashOcc": "flashocc",
+    "FoSOcc": "fosocc",
+    "OneOcc": "oneocc",
+    "AdaptiveOcc": "adaptiveocc",
+}
 FRACTION = 0.1
 COLUMNS = ("M voxels", "M param", "GFLOP", "ms/frame", "MiB", "ms/step", "MiB/step")
 

@@ -73,17 +73,29 @@ def one_node(folder: Path) -> Iterator[dict[str, str]]:
     conf = folder / "slurm.conf"
     conf.write_text(
         CONF.format(
-            folder=folder, host=host, user=getpass.getuser(), control=free_port(), node=free_port(),
+            folder=folder,
+            host=host,
+            user=getpass.getuser(),
+            control=free_port(),
+            node=free_port(),
             cpus=os.cpu_count(),
         )
-    )  # fmt: skip
+    )
     environment = {**os.environ, "SLURM_CONF": str(conf), "PATH": PLACES}
     commands = [
-        ["munged", "--foreground", "--force", f"--key-file={key}", f"--socket={folder}/munge.socket",
-         f"--log-file={folder}/munged.log", f"--pid-file={folder}/munged.pid", f"--seed-file={folder}/munged.seed"],
+        [
+            "munged",
+            "--foreground",
+            "--force",
+            f"--key-file={key}",
+            f"--socket={folder}/munge.socket",
+            f"--log-file={folder}/munged.log",
+            f"--pid-file={folder}/munged.pid",
+            f"--seed-file={folder}/munged.seed",
+        ],
         ["slurmctld", "-D", "-f", str(conf)],
         ["slurmd", "-D", "-f", str(conf), "-N", host],
-    ]  # fmt: skip
+    ]
     daemons: list[subprocess.Popen] = []
     try:
         for command in commands:

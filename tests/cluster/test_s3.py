@@ -22,9 +22,14 @@ def run(script: str, *overrides: str, folder: Path, port: int | None = None) -> 
     endpoint = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}"} if port else {}
     found = subprocess.run(
         [sys.executable, str(ROOT / "src" / script), "preset=smoke", *overrides],
-        cwd=folder, env={**os.environ, **KEYS, **endpoint}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        timeout=500, check=False,
-    )  # fmt: skip
+        cwd=folder,
+        env={**os.environ, **KEYS, **endpoint},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=500,
+        check=False,
+    )
     return found.returncode, found.stdout
 
 
@@ -53,9 +58,16 @@ def upload(folder: Path, port: int) -> None:
 def train(folder: Path, port: int, steps: int = 6) -> tuple[str, dict[str, float]]:
     """Train from the bucket, with a cache of its own; return what was said, and the scores."""
     code, said = run(
-        "train.py", f"data.source.root=s3://{BUCKET}/data", f"data.source.cache={folder}/cache", "model=extended",
-        f"preset.stages.occupancy.max_steps={steps}", "logger.mode=disabled", "test_images=0", folder=folder, port=port,
-    )  # fmt: skip
+        "train.py",
+        f"data.source.root=s3://{BUCKET}/data",
+        f"data.source.cache={folder}/cache",
+        "model=extended",
+        f"preset.stages.occupancy.max_steps={steps}",
+        "logger.mode=disabled",
+        "test_images=0",
+        folder=folder,
+        port=port,
+    )
     assert code == 0, said
     (path,) = folder.glob(f"runs/train-*/{METRICS}")
     scores = json.loads(path.read_text())

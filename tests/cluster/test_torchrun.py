@@ -26,16 +26,27 @@ def agents(folder: Path, *overrides: str) -> list[tuple[int, str]]:
         "--rdzv-backend=c10d",
     ]
     training = [
-        str(ROOT / "src" / "train.py"), "preset=smoke", "logger.mode=disabled", "test_images=0", "trainer.num_nodes=2",
-        "trainer.devices=1", "trainer.strategy=ddp", "trainer.accelerator=cpu", "data.batch_size=1", *overrides,
-    ]  # fmt: skip
+        str(ROOT / "src" / "train.py"),
+        "preset=smoke",
+        "logger.mode=disabled",
+        "test_images=0",
+        "trainer.num_nodes=2",
+        "trainer.devices=1",
+        "trainer.strategy=ddp",
+        "trainer.accelerator=cpu",
+        "data.batch_size=1",
+        *overrides,
+    ]
     started = [
         subprocess.Popen(
             [*torchrun, f"--rdzv-endpoint={place}", *training],
-            cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     said = [process.communicate(timeout=400)[0] for process in started]
     return [(process.returncode, text) for process, text in zip(started, said, strict=True)]
 

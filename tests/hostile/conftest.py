@@ -13,7 +13,7 @@ from scripts import run_script
 HERE = Path(__file__).parent
 sys.path[:0] = [
     str(HERE),
-    str(HERE.parent / "record"),
+    str(HERE.parent / "extras" / "recorders"),
     str(HERE.parent / "report"),
 ]  # the modules beside; log_files; fake_sweep
 

@@ -48,10 +48,17 @@ class Forged(BagWriter):
     """
 
     def __init__(
-        self, path: Path, ros: int, storage: str = "db3", kind: str = "", change: Change = lambda bag, fields: None,
-        packed: Callable[[bytes], bytes] = bytes, definition: str | None = None, digest: str | None = None,
+        self,
+        path: Path,
+        ros: int,
+        storage: str = "db3",
+        kind: str = "",
+        change: Change = lambda bag, fields: None,
+        packed: Callable[[bytes], bytes] = bytes,
+        definition: str | None = None,
+        digest: str | None = None,
         compression: str = "",
-    ):  # fmt: skip
+    ):
         super().__init__(path, ros)
         self.kind, self.change, self.packed, self.definition, self.digest = kind, change, packed, definition, digest
         if ros == 2 and storage == "mcap":
@@ -100,11 +107,20 @@ def record_bag(base: Path, bag: Path, out: Path, *more: str) -> tuple[str, ...]:
     names = SceneReader(base / "scenes" / SCENE).rig.names
     cameras = ",".join(f"{name}:/{name}/image" for name in names)
     return (
-        "record.py", "recorder=bag", "recorder.name=test-000-log", f"recorder.bag={bag}", "recorder.world_frame=map",
-        f"recorder.rig={base / 'log' / 'rig.yaml'}", f"recorder.cameras={{{cameras}}}", f"recorder.{BASE_OPTION}",
-        f"recorder.lidar={{topic: /points, classes: {base / 'log' / 'classes.yaml'}}}", "recorder.road_z_m=-2.0",
-        "recorder.panorama=[48,12,45.0,-45.0]", f"output={out}", *more,
-    )  # fmt: skip
+        "record.py",
+        "recorder=bag",
+        "recorder.name=test-000-log",
+        f"recorder.bag={bag}",
+        "recorder.world_frame=map",
+        f"recorder.rig={base / 'log' / 'rig.yaml'}",
+        f"recorder.cameras={{{cameras}}}",
+        f"recorder.{BASE_OPTION}",
+        f"recorder.lidar={{topic: /points, classes: {base / 'log' / 'classes.yaml'}}}",
+        "recorder.road_z_m=-2.0",
+        "recorder.panorama=[48,12,45.0,-45.0]",
+        f"output={out}",
+        *more,
+    )
 
 
 def written(box: Box, ros: int, **forged: Any) -> Path:
@@ -237,20 +253,23 @@ MESSAGES: dict[str, tuple[str, str, Change]] = {
     "odometry-at-one-time": ("refused", ODOMETRY, _stamp(5)),
     "images-at-one-time": ("refused", "/Image", _stamp(2**31 - 1, 2**32 - 1)),
     "images-without-time": ("either", "/Image", _stamp(0)),
-}  # fmt: skip
+}
 PACKED: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
-    "image-length-gigabytes": ("/Image", _length(ROW * HEIGHT)), "points-length-gigabytes": (CLOUD, _length(POINTS)),
-    "image-message-empty": ("/Image", lambda content: b""), "tf-message-cut": (TRANSFORMS, lambda content: content[:9]),
+    "image-length-gigabytes": ("/Image", _length(ROW * HEIGHT)),
+    "points-length-gigabytes": (CLOUD, _length(POINTS)),
+    "image-message-empty": ("/Image", lambda content: b""),
+    "tf-message-cut": (TRANSFORMS, lambda content: content[:9]),
     "tf-of-billions": (TRANSFORMS, lambda content: content[:4] + b"\xff" * 4 + content[8:]),
-}  # fmt: skip
+}
 """Changes of the bytes of messages, which are refused."""
 DEFINITIONS = {
     "recursive": "geometry_msgs/TransformStamped transform\nsensor_msgs/Image again\n",
     "malformed": "float64[ x y = =\n",
-    "of-billions": "geometry_msgs/Point[999999999] points\nstring[999999999] texts\n", "empty": "\n",
+    "of-billions": "geometry_msgs/Point[999999999] points\nstring[999999999] texts\n",
+    "empty": "\n",
     "of-code": "int32 A=__import__('os').system('touch x')\nstring B=\"\"\"\\\n\nimport os\n",
     "swapped": "byte[] data\n",
-}  # fmt: skip
+}
 """Definitions that no reader of ROS needs, since it knows its types."""
 
 
@@ -303,15 +322,17 @@ STATED: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
     "compression-unknown": ("refused", lambda stated: stated.update(compression_mode="file", compression_format="x")),
     "compression-of-none": ("refused", lambda stated: stated.update(ZSTD, compression_mode="FILE")),
     "messages-of-none": ("refused", lambda stated: stated.update(ZSTD, compression_mode="message")),
-}  # fmt: skip
+}
 """Changes of `metadata.yaml`."""
 TEXTS: dict[str, Callable[[str], str]] = {
     "tag-of-code": lambda text: text.replace("version: 8", "version: !!python/object/apply:os.system ['touch x']"),
     "key-twice": lambda text: text.replace("  version: 8", "  version: 8\n  version: 3"),
     "aliases": lambda text: text.replace("storage_identifier: sqlite3", f"storage_identifier: {_aliases()}"),
     "nested": lambda text: text.replace("storage_identifier: sqlite3", "storage_identifier: " + "[" * 10**5),
-    "list": lambda text: "- 1\n", "number": lambda text: "7", "no-text": lambda text: text + "\0",
-}  # fmt: skip
+    "list": lambda text: "- 1\n",
+    "number": lambda text: "7",
+    "no-text": lambda text: text + "\0",
+}
 """Changes of its text, which are refused."""
 
 
@@ -334,7 +355,8 @@ TABLES: dict[str, tuple[str, str]] = {
         "type_description_hash FROM n",
     ),
     "view-of-versions": (
-        "refused", f"DROP TABLE schema; CREATE VIEW schema AS {ENDLESS} x AS schema_version FROM n WHERE x < 0"
+        "refused",
+        f"DROP TABLE schema; CREATE VIEW schema AS {ENDLESS} x AS schema_version FROM n WHERE x < 0",
     ),
     "computed-column": ("refused", "ALTER TABLE messages ADD COLUMN more AS (zeroblob(1000000000))"),
     "virtual-table": ("refused", "DROP TABLE schema; CREATE VIRTUAL TABLE schema USING fts5(schema_version)"),
@@ -348,13 +370,15 @@ TABLES: dict[str, tuple[str, str]] = {
     "no-table": ("refused", "DROP TABLE messages"),
     "topics-renamed": ("refused", "UPDATE topics SET name = 5"),
     "version-of-text": (
-        "refused", "DROP TABLE schema; CREATE TABLE schema(schema_version); INSERT INTO schema VALUES ('new')"
+        "refused",
+        "DROP TABLE schema; CREATE TABLE schema(schema_version); INSERT INTO schema VALUES ('new')",
     ),
     "definition-in-brackets": (
-        "right", "UPDATE message_definitions SET encoding = 'ros2idl', encoded_message_definition = "
-        "'module a { const long X = " + "(" * 20 + "1" + ")" * 20 + "; };'"
+        "right",
+        "UPDATE message_definitions SET encoding = 'ros2idl', encoded_message_definition = "
+        "'module a { const long X = " + "(" * 20 + "1" + ")" * 20 + "; };'",
     ),
-}  # fmt: skip
+}
 
 
 def _stated(box: Box, change: Callable[[dict[str, Any]], Any]) -> Path:
@@ -431,9 +455,12 @@ def _bomb_of_file(box: Box) -> Path:
 
 
 FILES: dict[str, tuple[str, Callable[[Box], Path]]] = {
-    "name-of-url": ("refused", _name_of_url), "bomb-lz4": ("refused", lambda box: _bomb_of_ros1(box, "lz4")),
-    "bomb-bz2": ("refused", lambda box: _bomb_of_ros1(box, "bz2")), "bomb-mcap": ("refused", _bomb_of_mcap),
-    "bomb-of-messages": ("refused", _bomb_of_messages), "bomb-of-file": ("refused", _bomb_of_file),
+    "name-of-url": ("refused", _name_of_url),
+    "bomb-lz4": ("refused", lambda box: _bomb_of_ros1(box, "lz4")),
+    "bomb-bz2": ("refused", lambda box: _bomb_of_ros1(box, "bz2")),
+    "bomb-mcap": ("refused", _bomb_of_mcap),
+    "bomb-of-messages": ("refused", _bomb_of_messages),
+    "bomb-of-file": ("refused", _bomb_of_file),
     "sound-bz2": ("right", lambda box: written(box, 1, compression="bz2")),
     "sound-lz4": ("right", lambda box: written(box, 1, compression="lz4")),
     "sound-mcap": ("right", lambda box: written(box, 2, storage="mcap")),
@@ -442,7 +469,7 @@ FILES: dict[str, tuple[str, Callable[[Box], Path]]] = {
     "sound-zstd-messages": ("right", lambda box: written(box, 2, compression="message")),
     "digest-other-ros1": ("refused", lambda box: written(box, 1, digest="0" * 32)),
     "digest-other-ros2": ("refused", lambda box: written(box, 2, digest="RIHS01_" + "0" * 64)),
-}  # fmt: skip
+}
 
 
 def forged(rng: random.Random) -> Iterable[tuple[str, str, Callable[[Box], Path], tuple[str, ...]]]:

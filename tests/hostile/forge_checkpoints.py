@@ -26,10 +26,16 @@ SLOTS = ("model.backbone", "model.sketch.depth.loss", "model.lifter", "loss.voxe
 PLAIN = ("model.lifter.anchors.0", "model.backbone.weights", "data.source.splits.test", "ema_decay", "data.seed")
 """Where a plain value stands."""
 BUILT = {
-    "depth": ("depth", "data"), "occupancy": ("model", "data"), "submission": ("model", "loss", "data"),
-    "evaluate": ("model", "loss", "optimizer", "augment", "data"), "robustness": ("model", "loss", "data"),
-    "view": ("model", "loss", "data"), "export": ("model", "data"), "weights": (), "resume": (),
-}  # fmt: skip
+    "depth": ("depth", "data"),
+    "occupancy": ("model", "data"),
+    "submission": ("model", "loss", "data"),
+    "evaluate": ("model", "loss", "optimizer", "augment", "data"),
+    "robustness": ("model", "loss", "data"),
+    "view": ("model", "loss", "data"),
+    "export": ("model", "data"),
+    "weights": (),
+    "resume": (),
+}
 """Parts of a checkpoint's configuration that a command builds."""
 COMMANDS = 2
 """Commands that open a hostile checkpoint, drawn at random: all of them read it by the same function."""
@@ -63,7 +69,7 @@ def commands(box: Box, path: Path) -> dict[str, tuple[str, ...]]:
         "export": ("export.py", f"checkpoint={path}", rig, f"{out}.pt2"),
         "weights": (*train, f"weights={path}", "plan=true"),
         "resume": (*train, f"resume={path}", "model/sketch=dense"),
-    }  # fmt: skip
+    }
 
 
 def openings(box: Box, path: Path, part: str | None = None, only: Sequence[str] = ()) -> list[Opening]:
@@ -118,15 +124,21 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
     shell, evil = touch(box, "os-system"), box.given / "evil.py"
     at_place = call("pathlib.Path", mark)
     return {
-        "os.system": call("os.system", shell), "posix.system": call("posix.system", shell),
-        "subprocess": call("subprocess.Popen", ["touch", mark]), "eval": call("builtins.eval", f"open({mark!r}, 'w')"),
-        "exec": call("builtins.exec", f"open({mark!r}, 'w')"), "open": call("builtins.open", mark, "w"),
-        "write_text": call("pathlib.Path.write_text", at_place, "text"), "mkdir": call("os.mkdir", mark),
-        "touch-path": call("pathlib.Path.touch", at_place), "rmtree": call("shutil.rmtree", str(box.neighbour)),
+        "os.system": call("os.system", shell),
+        "posix.system": call("posix.system", shell),
+        "subprocess": call("subprocess.Popen", ["touch", mark]),
+        "eval": call("builtins.eval", f"open({mark!r}, 'w')"),
+        "exec": call("builtins.exec", f"open({mark!r}, 'w')"),
+        "open": call("builtins.open", mark, "w"),
+        "write_text": call("pathlib.Path.write_text", at_place, "text"),
+        "mkdir": call("os.mkdir", mark),
+        "touch-path": call("pathlib.Path.touch", at_place),
+        "rmtree": call("shutil.rmtree", str(box.neighbour)),
         "torch.load": call("torch.load", str(evil.with_suffix(".pt")), weights_only=False),
         "torch.hub": call("torch.hub.load", str(box.given), "evil", source="local"),
         "torch.serialization": call("torch.serialization.load", str(evil.with_suffix(".pt")), weights_only=False),
-        "torch.save": call("torch.save", {}, mark), "torch.jit": call("torch.jit.load", str(evil.with_suffix(".pt"))),
+        "torch.save": call("torch.save", {}, mark),
+        "torch.jit": call("torch.jit.load", str(evil.with_suffix(".pt"))),
         "torch.utils.download": call("torch.hub.download_url_to_file", evil.as_uri(), mark),
         "cpp-extension": call("torch.utils.cpp_extension.load_inline", name="evil", cpp_sources=""),
         "trainer": call("lightning.pytorch.Trainer", default_root_dir=mark, logger=False),
@@ -139,14 +151,17 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "get_method": call("hydra.utils.get_method", "os.system"),
         "omegaconf-load": call("omegaconf.OmegaConf.load", str(box.neighbour / "notes.txt")),
         "omegaconf-save": call("omegaconf.OmegaConf.save", {"a": 1}, mark),
-        "own-import-os": call("omniocc.io.os.system", shell), "own-import-path": call("omniocc.io.Path", mark),
+        "own-import-os": call("omniocc.io.os.system", shell),
+        "own-import-path": call("omniocc.io.Path", mark),
         "own-import-subprocess": call("omniocc.runs.fork_server.subprocess.Popen", ["touch", mark]),
         "own-function-atomic-write": call("omniocc.io.atomic_write", at_place, "text"),
         "own-function-build": call("omniocc.config.build", call("os.system", shell)),
         "own-function-load": call("omniocc.load", str(path)),
         "fork-server": {"_target_": "omniocc.runs.fork_server.ForkServer", "script": str(evil), "log": f"{mark}.log"},
         "fork-server-of-itself": {
-            "_target_": "omniocc.runs.fork_server.ForkServer", "script": str(path), "log": f"{mark}.log"
+            "_target_": "omniocc.runs.fork_server.ForkServer",
+            "script": str(path),
+            "log": f"{mark}.log",
         },
         "scene-writer": {"_target_": "omniocc.data.store.shard.SceneWriter", "folder": mark},
         "watch-server": {"_target_": "omniocc.extras.viewer.watch.server.Server", "runs": str(box.given), "port": 0},
@@ -158,7 +173,9 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "loggers": call("omniocc.runs.wandb.Loggers", project="x", group="x", mode="online", tags=[]),
         "curves": {"_target_": "omniocc.runs.wandb.loggers.WandbCurves", "save_dir": mark},
         "carla": {
-            "_target_": "omniocc.extras.recorders.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)
+            "_target_": "omniocc.extras.recorders.carla.recorder.CarlaRecorder",
+            "restart": shell,
+            "python": str(evil),
         },
         "log-files": {"_target_": "omniocc.extras.recorders.files.LogFiles", "name": "train-0", "log": str(box.given)},
         "checkpoint-io": {"_target_": "omniocc.runs.checkpoint_io.AtomicCheckpointIO"},
@@ -167,26 +184,39 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "other-slot-sketch": {"_target_": "omniocc.model.sketch.Dense"},
         "error-class": {"_target_": "omniocc.errors.UserError"},
         "torch-module": {"_target_": "torch.nn.Linear", "in_features": 3, "out_features": 3},
-        "own-package": {"_target_": "evil.Evil"}, "relative-target": {"_target_": "..os.system", "_args_": [shell]},
-        "target-of-text": {"_target_": ["os.system"], "_args_": [shell]}, "target-null": {"_target_": None},
-        "target-empty": {"_target_": ""}, "target-nested": {"_target_": call("os.system", shell)},
+        "own-package": {"_target_": "evil.Evil"},
+        "relative-target": {"_target_": "..os.system", "_args_": [shell]},
+        "target-of-text": {"_target_": ["os.system"], "_args_": [shell]},
+        "target-null": {"_target_": None},
+        "target-empty": {"_target_": ""},
+        "target-nested": {"_target_": call("os.system", shell)},
         "target-interpolated": {"_target_": "${stage}.system", "_args_": [shell]},
-    }  # fmt: skip
+    }
 
 
 FLAGS: dict[str, Tree] = {
-    "": {}, "partial": {"_partial_": True}, "not-recursive": {"_recursive_": False}, "convert": {"_convert_": "object"},
-}  # fmt: skip
+    "": {},
+    "partial": {"_partial_": True},
+    "not-recursive": {"_recursive_": False},
+    "convert": {"_convert_": "object"},
+}
 INTERPOLATIONS = {
-    "env": "${oc.env:HOSTILE_SECRET}", "env-in-text": "a${oc.env:HOSTILE_SECRET}b",
-    "env-escaped": "\\${oc.env:HOSTILE_SECRET}", "env-twice-escaped": "\\\\${oc.env:HOSTILE_SECRET}",
+    "env": "${oc.env:HOSTILE_SECRET}",
+    "env-in-text": "a${oc.env:HOSTILE_SECRET}b",
+    "env-escaped": "\\${oc.env:HOSTILE_SECRET}",
+    "env-twice-escaped": "\\\\${oc.env:HOSTILE_SECRET}",
     "create": "${oc.create:{_target_:os.system,_args_:['{shell}']}}",
     "create-escaped": "\\${oc.create:{_target_:os.system,_args_:['{shell}']}}",
-    "decode": "${oc.decode:'{_target_: os.system}'}", "hydra": "${hydra:runtime.cwd}",
+    "decode": "${oc.decode:'{_target_: os.system}'}",
+    "hydra": "${hydra:runtime.cwd}",
     "dict-values": "${oc.dict.values:model}",
-    "to-itself": "${ema_decay}", "to-the-root": "${model}", "to-nothing": "${no.such.key}", "unclosed": "${model",
-    "nested": "${${oc.env:HOSTILE_SECRET}}", "select": "${oc.select:oc.env,${oc.env:HOSTILE_SECRET}}",
-}  # fmt: skip
+    "to-itself": "${ema_decay}",
+    "to-the-root": "${model}",
+    "to-nothing": "${no.such.key}",
+    "unclosed": "${model",
+    "nested": "${${oc.env:HOSTILE_SECRET}}",
+    "select": "${oc.select:oc.env,${oc.env:HOSTILE_SECRET}}",
+}
 
 
 def helpers(box: Box) -> None:
@@ -289,8 +319,10 @@ VALUES: dict[str, tuple[str, Callable[[Box], Any], bool]] = {
     "deep-list": ("model.lifter.anchors", lambda box: functools.reduce(lambda a, _: [a], range(400), []), True),
     "deep-mapping": ("model.backbone", lambda box: functools.reduce(lambda a, _: {"a": a}, range(400), {}), True),
     "model-is-text": ("model", lambda box: "omniocc.model.OccupancyModel", True),
-    "model-is-null": ("model", lambda box: None, True), "model-is-list": ("model", lambda box: [], True),
-    "data-is-number": ("data", lambda box: 7, False), "nan-argument": ("data.seed", lambda box: float("nan"), False),
+    "model-is-null": ("model", lambda box: None, True),
+    "model-is-list": ("model", lambda box: [], True),
+    "data-is-number": ("data", lambda box: 7, False),
+    "nan-argument": ("data.seed", lambda box: float("nan"), False),
     "root-outside": ("data.source.root", lambda box: str(box.neighbour), False),
     "root-url": ("data.source.root", lambda box: "http://127.0.0.1:9/scenes", False),
     "root-chained": ("data.source.root", lambda box: f"filecache::{box.given.as_uri()}", False),
@@ -305,7 +337,7 @@ VALUES: dict[str, tuple[str, Callable[[Box], Any], bool]] = {
     "surrogate-in-path": ("data.source.root", lambda box: "a\udcff", False),
     "long-path": ("data.source.root", lambda box: "a/" * 5000, False),
     "terminal-codes": ("data.source.root", lambda box: "\x1b]0;evil\x07\x1b[2J", False),
-}  # fmt: skip
+}
 """Place, value, and whether every command that builds the part must refuse it."""
 
 
@@ -397,7 +429,8 @@ SAFETENSORS: dict[str, Callable[[Path, Path], Any]] = {
     "metadata-a-number": lambda path, base: write_weights(path, "NaN", _weights(base)),
     "metadata-deep-lists": lambda path, base: write_weights(path, "[" * 200_000, _weights(base)),
     "metadata-deep-mappings": lambda path, base: write_weights(
-        path, json.dumps(_about(base, config=0)).replace(": 0,", ": " + '{"a":' * 9000 + "1" + "}" * 9000 + ",", 1),
+        path,
+        json.dumps(_about(base, config=0)).replace(": 0,", ": " + '{"a":' * 9000 + "1" + "}" * 9000 + ",", 1),
         _weights(base),
     ),
     "metadata-without-hash": lambda path, base: write_weights(
@@ -420,7 +453,7 @@ SAFETENSORS: dict[str, Callable[[Path, Path], Any]] = {
         path, json.dumps(_about(base)).replace('"num_classes": 12', '"num_classes": 1e999'), _weights(base)
     ),
     "metadata-doubled-keys": _doubled_keys,
-}  # fmt: skip
+}
 
 
 def _torch_zip(path: Path, pickled: bytes, **members: bytes) -> None:
@@ -494,7 +527,7 @@ PICKLES: dict[str, Callable[[Path, Box], Any]] = {
     "stage-missing": lambda path, box: _saved(path, {k: v for k, v in content_of(box.base).items() if k != "stage"}),
     "a-list": lambda path, box: _saved(path, [1, 2, 3]),
     "a-tensor": lambda path, box: _saved(path, torch.ones(3)),
-}  # fmt: skip
+}
 
 
 def file_cases(rng: random.Random) -> Iterator[Case]:

@@ -124,7 +124,8 @@ def _pickled(path: Path, box: Box) -> None:
 PCD, PLY, NPZ = "pcd", "ply", "npz"
 HEADER = b"FIELDS x y z intensity label\nSIZE 4 4 4 4 2\nTYPE F F F F U\nCOUNT 1 1 1 1 1\n"
 SPECIFIC: dict[str, tuple[str, str, Callable[[Path, Box], Any]]] = {
-    "pcd-ascii": (PCD, "right", _as(PCD, "ascii")), "pcd-binary": (PCD, "right", _as(PCD, "binary")),
+    "pcd-ascii": (PCD, "right", _as(PCD, "ascii")),
+    "pcd-binary": (PCD, "right", _as(PCD, "binary")),
     "pcd-points-huge": (PCD, "refused", _as(PCD, "binary", (b"POINTS 6000", b"POINTS 600000000000"))),
     "pcd-points-negative": (PCD, "refused", _as(PCD, "binary", (b"POINTS ", b"POINTS -"))),
     "pcd-points-of-5000-digits": (PCD, "refused", _as(PCD, "binary", (b"POINTS ", b"POINTS 1" + b"0" * 5000))),
@@ -151,7 +152,8 @@ SPECIFIC: dict[str, tuple[str, str, Callable[[Path, Box], Any]]] = {
     "pcd-packed-nothing": (PCD, "refused", lambda path, box: _sizes(path, packed=0)),
     "pcd-reference-before-begin": (PCD, "refused", lambda path, box: _lzf(path, b"\x20\xff" * 2000)),
     "pcd-reference-cut": (PCD, "refused", lambda path, box: _lzf(path, b"\x00\x01\xe0")),
-    "ply-ascii": (PLY, "right", _as(PLY, "ascii")), "ply-binary": (PLY, "right", _as(PLY, "binary_little_endian")),
+    "ply-ascii": (PLY, "right", _as(PLY, "ascii")),
+    "ply-binary": (PLY, "right", _as(PLY, "binary_little_endian")),
     "ply-big-endian": (PLY, "refused", _text((b"binary_little_endian", b"binary_big_endian"))),
     "ply-vertices-huge": (PLY, "refused", _text((b"vertex 6000", b"vertex 99999999999999"))),
     "ply-vertices-negative": (PLY, "refused", _text((b"vertex 6000", b"vertex -1"))),
@@ -185,26 +187,32 @@ SPECIFIC: dict[str, tuple[str, str, Callable[[Path, Box], Any]]] = {
     "npz-all-nan": (NPZ, "refused", _npz(lambda p, k: {"points": p * np.nan, "labels": k})),
     "npz-overflows": (NPZ, "refused", _npz(lambda p, k: {"points": p.astype(float) * 1e300, "labels": k})),
     "npz-a-number": (NPZ, "refused", _npz(lambda p, k: {"points": np.float32(3)})),
-    "npz-pickle": (NPZ, "refused", _pickled), "npz-bomb": (NPZ, "refused", _npz_bomb),
+    "npz-pickle": (NPZ, "refused", _pickled),
+    "npz-bomb": (NPZ, "refused", _npz_bomb),
     "npz-shape-huge": (NPZ, "refused", lambda path, box: _npz_member(path, "(99999999999999, 3)", "'<f4'")),
     "npz-shape-negative": (NPZ, "refused", lambda path, box: _npz_member(path, "(-4, 3)", "'<f4'", bytes(48))),
     "npz-shape-of-code": (
-        NPZ, "refused", lambda path, box: _npz_member(path, f"(open({str(box.marks / 'a')!r}, 'w'), 3)", "'<f4'")
+        NPZ,
+        "refused",
+        lambda path, box: _npz_member(path, f"(open({str(box.marks / 'a')!r}, 'w'), 3)", "'<f4'"),
     ),
     "npz-dtype-object": (NPZ, "refused", lambda path, box: _npz_member(path, "(1, 3)", "'|O'", pickle.dumps([1]))),
     "npz-outward": (NPZ, "refused", lambda path, box: _npz_member(path, "(1, 3)", "'<f4'", bytes(12), "../points.npy")),
-    "npy-sound": ("npy", "either", lambda path, box: None), "npy-pickle": ("npy", "refused", _pickled),
+    "npy-sound": ("npy", "either", lambda path, box: None),
+    "npy-pickle": ("npy", "refused", _pickled),
     "npy-of-text": ("npy", "refused", lambda path, box: np.save(path, np.array(["a"]))),
     "npy-flat": ("npy", "refused", lambda path, box: np.save(path, np.ones(30, np.float32))),
     "bin-float64": ("bin", "refused", lambda path, box: np.fromfile(path, "<f4").astype("<f8").tofile(path)),
     "bin-big-endian": ("bin", "refused", lambda path, box: np.fromfile(path, "<f4").astype(">f4").tofile(path)),
     "bin-five-columns": (
-        "bin", "refused", lambda path, box: np.c_[_points(path)[0], np.ones((6000, 2))].astype("<f4").tofile(path)
+        "bin",
+        "refused",
+        lambda path, box: np.c_[_points(path)[0], np.ones((6000, 2))].astype("<f4").tofile(path),
     ),
     "bin-all-nan": ("bin", "refused", lambda path, box: np.full((6000, 4), np.nan, "<f4").tofile(path)),
     "label-few": ("label", "refused", lambda path, box: path.write_bytes(path.read_bytes()[:-4])),
     "label-of-bytes": ("label", "refused", lambda path, box: np.zeros(6000, np.uint8).tofile(path)),
-}  # fmt: skip
+}
 """Kind, what has to come of it, and the change."""
 
 

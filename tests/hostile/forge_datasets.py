@@ -31,11 +31,10 @@ def _parkocc(root: Path) -> None:
 
 SOURCES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "occ3d_nuscenes": (
-        lambda root: write_nuscenes(root, frames=1, version="v1.0-mini"), ("version=v1.0-mini", "val_every=2")
+        lambda root: write_nuscenes(root, frames=1, version="v1.0-mini"),
+        ("version=v1.0-mini", "val_every=2"),
     ),
-    "semantic_kitti": (
-        lambda root: write_semantic_kitti(root, ("00",), frames=1), (FIRST,)
-    ),
+    "semantic_kitti": (lambda root: write_semantic_kitti(root, ("00",), frames=1), (FIRST,)),
     "sscbench_kitti360": (lambda root: write_sscbench(root, ("00",), frames=1), (FIRST,)),
     "kitti360": (
         lambda root: write_kitti360(root, ("00",), frames=3),
@@ -50,54 +49,98 @@ SOURCES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         lambda root: write_fisheye3dod(root, frames=2),
         ("towns={train:[Town01],val:[Town02],test:[Town03]}", "accumulate=1"),
     ),
-}  # fmt: skip
+}
 """Writer of a small sound dataset of each source, and further options, without `data.source.`."""
 TOWN = "train-Town01_Opt-ClearNoon-2024_09_23_11_44_45/ego0"
 DRIVE = "2013_05_28_drive_0000_sync"
 CARLASC = "Cartesian/Train/Town01_Light/cartesian"
 FILES = {
     "occ3d_nuscenes": (
-        "gts/scene-0001/scene-0001-0/labels.npz", "samples/CAM_FRONT/scene-0001-0__CAM_FRONT__1532402926960000.jpg",
-        "samples/LIDAR_TOP/scene-0001-0__LIDAR_TOP__1532402927000000.pcd.bin", "v1.0-mini/calibrated_sensor.json",
-        "v1.0-mini/ego_pose.json", "v1.0-mini/sample.json", "v1.0-mini/sample_data.json", "v1.0-mini/scene.json",
+        "gts/scene-0001/scene-0001-0/labels.npz",
+        "samples/CAM_FRONT/scene-0001-0__CAM_FRONT__1532402926960000.jpg",
+        "samples/LIDAR_TOP/scene-0001-0__LIDAR_TOP__1532402927000000.pcd.bin",
+        "v1.0-mini/calibrated_sensor.json",
+        "v1.0-mini/ego_pose.json",
+        "v1.0-mini/sample.json",
+        "v1.0-mini/sample_data.json",
+        "v1.0-mini/scene.json",
         "v1.0-mini/sensor.json",
     ),
-    "semantic_kitti": tuple(f"sequences/00/{name}" for name in (
-        "calib.txt", "image_2/000000.png", "labels/000000.label", "poses.txt", "velodyne/000000.bin",
-        "voxels/000000.bin", "voxels/000000.invalid", "voxels/000000.label", "voxels/000000.occluded",
-    )),
-    "sscbench_kitti360": tuple(f"data_2d_raw/{DRIVE}/{name}" for name in (
-        "image_00/data_rect/000000.png", "pose.txt", "voxels/000000.invalid", "voxels/000000.label",
-    )),
-    "kitti360": (
-        "calibration/calib_cam_to_pose.txt", "calibration/calib_cam_to_velo.txt", "calibration/image_02.yaml",
-        "calibration/perspective.txt", f"data_2d_raw/{DRIVE}/image_02/data_rgb/0000000100.png",
-        f"data_3d_raw/{DRIVE}/velodyne_points/data/0000000100.bin", f"data_poses/{DRIVE}/poses.txt",
+    "semantic_kitti": tuple(
+        f"sequences/00/{name}"
+        for name in (
+            "calib.txt",
+            "image_2/000000.png",
+            "labels/000000.label",
+            "poses.txt",
+            "velodyne/000000.bin",
+            "voxels/000000.bin",
+            "voxels/000000.invalid",
+            "voxels/000000.label",
+            "voxels/000000.occluded",
+        )
     ),
-    "carlasc": tuple(f"{CARLASC}/{name}" for name in (
-        "evaluation/000000.bin", "evaluation/000000.label", "evaluation/params.json", "labels/000000.label",
-        "poses.txt", "velodyne/000000.bin",
-    )),
+    "sscbench_kitti360": tuple(
+        f"data_2d_raw/{DRIVE}/{name}"
+        for name in (
+            "image_00/data_rect/000000.png",
+            "pose.txt",
+            "voxels/000000.invalid",
+            "voxels/000000.label",
+        )
+    ),
+    "kitti360": (
+        "calibration/calib_cam_to_pose.txt",
+        "calibration/calib_cam_to_velo.txt",
+        "calibration/image_02.yaml",
+        "calibration/perspective.txt",
+        f"data_2d_raw/{DRIVE}/image_02/data_rgb/0000000100.png",
+        f"data_3d_raw/{DRIVE}/velodyne_points/data/0000000100.bin",
+        f"data_poses/{DRIVE}/poses.txt",
+    ),
+    "carlasc": tuple(
+        f"{CARLASC}/{name}"
+        for name in (
+            "evaluation/000000.bin",
+            "evaluation/000000.label",
+            "evaluation/params.json",
+            "labels/000000.label",
+            "poses.txt",
+            "velodyne/000000.bin",
+        )
+    ),
     "woodscape": (
-        "calibration/00000_FV.json", "rgb_images/00000_FV.png", "semantic_annotations/gtLabels/00000_FV.png",
+        "calibration/00000_FV.json",
+        "rgb_images/00000_FV.png",
+        "semantic_annotations/gtLabels/00000_FV.png",
     ),
     "parkocc": (
-        "calib/front/calib_results_front.txt", "calib/front/results_front.csv", "sequences/8/9/front_9.jpg",
-        "sequences/8/9/occ_9.npy", "sequences/dataset_sence_8.yaml", "velodyne/8/9/pc_9.bin",
+        "calib/front/calib_results_front.txt",
+        "calib/front/results_front.csv",
+        "sequences/8/9/front_9.jpg",
+        "sequences/8/9/occ_9.npy",
+        "sequences/dataset_sence_8.yaml",
+        "velodyne/8/9/pc_9.bin",
     ),
     "h3o": (
-        "sequences/Town01_a/occupancy_gt/000000.npy", "sequences/Town01_a/panorama_depth_m/000000.npy",
-        "sequences/Town01_a/panorama_rgb/000000.png", "splits_homo.json",
+        "sequences/Town01_a/occupancy_gt/000000.npy",
+        "sequences/Town01_a/panorama_depth_m/000000.npy",
+        "sequences/Town01_a/panorama_rgb/000000.png",
+        "splits_homo.json",
     ),
     "quadocc": (
-        "PAL_intrinsic_calib_results.txt", "sequences/a/images_unfold/000000.jpg", "sequences/a/lidar/000000.pcd",
+        "PAL_intrinsic_calib_results.txt",
+        "sequences/a/images_unfold/000000.jpg",
+        "sequences/a/lidar/000000.pcd",
         "sequences/a/voxel_final/000000.npy",
     ),
     "fisheye3dod": (
-        "calib_results.txt", f"{TOWN}/fisheye_camera_front/00026981.png",
-        f"{TOWN}/fisheye_camera_front/sensor_metadata.txt", f"{TOWN}/semantic_lidar/00026981.bin",
+        "calib_results.txt",
+        f"{TOWN}/fisheye_camera_front/00026981.png",
+        f"{TOWN}/fisheye_camera_front/sensor_metadata.txt",
+        f"{TOWN}/semantic_lidar/00026981.bin",
     ),
-}  # fmt: skip
+}
 """One file of every kind that a source reads."""
 OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt", "perspective.txt")
 """Files of which only some options make use."""
@@ -251,7 +294,8 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "value-null": ("either", _tree(lambda tree: _deepest(tree, None))),
         "value-a-list": ("either", _tree(lambda tree: _deepest(tree, [[]]))),
         "value-outward": ("either", _tree(lambda tree: _deepest(tree, "../../../neighbour"))),
-        "key-left-out": ("either", _tree(_without_key)), "a-number": ("refused", lambda path, box: _write(path, b"7")),
+        "key-left-out": ("either", _tree(_without_key)),
+        "a-number": ("refused", lambda path, box: _write(path, b"7")),
         "of-nulls": ("refused", lambda path, box: _write(path, b"[null, null]")),
         "number-of-5000-digits": ("refused", lambda path, box: _write(path, b"[" + b"1" * 5000 + b"]")),
         "nan": ("refused", lambda path, box: _write(path, b"NaN")),
@@ -273,16 +317,19 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "stretched": ("refused", _text(lambda text: "7.5" + text[text.index(",") :])),
     },
     ".npy": {
-        "pickle": ("refused", _pickled), "flat": ("refused", _array(np.ravel)),
+        "pickle": ("refused", _pickled),
+        "flat": ("refused", _array(np.ravel)),
         "texts": ("refused", _array(lambda array: array.astype(str))),
         "complex": ("refused", _array(lambda array: array.astype(np.complex64))),
         "nan": ("refused", _array(lambda array: np.full(array.shape, np.nan))),
         "huge-numbers": ("refused", _array(lambda array: np.full(array.shape, 2**62))),
         "no-rows": ("either", _array(lambda array: array[:0])),
-        "transposed": ("either", _array(np.transpose)), "big-endian": ("either", _array(lambda a: a.astype(">f8"))),
+        "transposed": ("either", _array(np.transpose)),
+        "big-endian": ("either", _array(lambda a: a.astype(">f8"))),
     },
     ".npz": {
-        "pickle": ("refused", _pickled), "flat": ("refused", _array(np.ravel)),
+        "pickle": ("refused", _pickled),
+        "flat": ("refused", _array(np.ravel)),
         "texts": ("refused", _array(lambda array: array.astype(str))),
         "nan": ("refused", _array(lambda array: np.full(array.shape, np.nan))),
         "unknown-class": ("refused", _array(lambda array: np.full_like(array, 200))),
@@ -290,7 +337,8 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "negative": ("refused", _array(lambda array: np.full(array.shape, -3))),
     },
     ".bin": {
-        "nan": ("either", _numbers("<f4", np.nan)), "infinite": ("either", _numbers("<f4", np.inf)),
+        "nan": ("either", _numbers("<f4", np.nan)),
+        "infinite": ("either", _numbers("<f4", np.inf)),
         "huge": ("either", _numbers("<f4", 1e30)),
     },
     ".label": {
@@ -302,7 +350,8 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "twice-x": ("refused", _bytes(b"x y z", b"x x z")),
     },
     ".png": {
-        "of-gigabytes": ("refused", _png_of_gigabytes), "one-pixel": ("refused", _image(lambda image: image[:1, :1])),
+        "of-gigabytes": ("refused", _png_of_gigabytes),
+        "one-pixel": ("refused", _image(lambda image: image[:1, :1])),
         "cropped": ("refused", _image(lambda image: image[: len(image) // 2])),
         "sixteen-bits": ("either", _image(lambda image: image.astype(np.uint16) * 256)),
     },
@@ -311,7 +360,7 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "cropped": ("refused", _image(lambda image: image[: len(image) // 2])),
         "grey": ("either", _image(lambda image: image[..., 0])),
     },
-}  # fmt: skip
+}
 """Mutations by the suffix of a file."""
 
 

@@ -80,17 +80,30 @@ WRONG: dict[str, Change] = {
 def _occupancy(box: Box, path: Path) -> tuple[str, ...]:
     base = box.base
     return (
-        "predict.py", "occupancy", f"checkpoint={base / 'run' / 'best.ckpt'}", f"images={base / 'sequence'}",
-        f"rig={base / 'rig.yaml'}", f"poses={path}", f"output={box.out / 'result'}", "overview=false", "mesh=false",
-    )  # fmt: skip
+        "predict.py",
+        "occupancy",
+        f"checkpoint={base / 'run' / 'best.ckpt'}",
+        f"images={base / 'sequence'}",
+        f"rig={base / 'rig.yaml'}",
+        f"poses={path}",
+        f"output={box.out / 'result'}",
+        "overview=false",
+        "mesh=false",
+    )
 
 
 def record(box: Box, log: Path, *more: str) -> tuple[str, ...]:
     """Return the command that makes a scene of a log."""
     return (
-        "record.py", "recorder=files", "recorder.name=test-000-log", f"recorder.log={log}", "recorder.road_z_m=-2.0",
-        "recorder.panorama=[48,12,45.0,-45.0]", f"output={box.out / 'result'}", *more,
-    )  # fmt: skip
+        "record.py",
+        "recorder=files",
+        "recorder.name=test-000-log",
+        f"recorder.log={log}",
+        "recorder.road_z_m=-2.0",
+        "recorder.panorama=[48,12,45.0,-45.0]",
+        f"output={box.out / 'result'}",
+        *more,
+    )
 
 
 def same_voxels(base: Path) -> Callable[[Path, str], str | None]:
@@ -176,7 +189,7 @@ TIMED: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "kitti-times-nan": ("kitti", "times", lambda text: "nan\n" * 3),
     "kitti-times-far": ("kitti", "times", lambda text: "1\n2\n3\n"),
     "kitti-turned": ("kitti", "poses", lambda text: text.replace("1 0 0 1", "0 0 0 1")),
-}  # fmt: skip
+}
 
 
 def _timed(name: str, kind: str, which: str, change: Callable[[str], str]) -> Case:
@@ -195,10 +208,15 @@ def _timed(name: str, kind: str, which: str, change: Callable[[str], str]) -> Ca
 
 
 TABLES = {
-    "table-text-as-time": "a,b\nc,d\n", "table-empty": "", "table-one-column": "1\n2\n", "table-nan": "nan,x.png\n",
-    "table-of-a-megabyte": "1," + "x" * 2**20 + "\n", "table-nul": "1,a\0b\n", "table-not-listed": "1,front/1.png\n",
+    "table-text-as-time": "a,b\nc,d\n",
+    "table-empty": "",
+    "table-one-column": "1\n2\n",
+    "table-nan": "nan,x.png\n",
+    "table-of-a-megabyte": "1," + "x" * 2**20 + "\n",
+    "table-nul": "1,a\0b\n",
+    "table-not-listed": "1,front/1.png\n",
     "table-outward": "1,../../neighbour/notes.txt\n",
-}  # fmt: skip
+}
 
 
 def _table(name: str, text: str) -> Case:

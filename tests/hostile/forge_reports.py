@@ -187,11 +187,19 @@ CHANGES: dict[str, tuple[str, Callable[[Path], None]]] = {
 }
 """The file of a run that is changed, and the change."""
 NAMES = {
-    "script": SCRIPT.replace("/", "|"), "newline": "a\n# heading", "markdown": "a|b](javascript:1)`",
+    "script": SCRIPT.replace("/", "|"),
+    "newline": "a\n# heading",
+    "markdown": "a|b](javascript:1)`",
     "quote": "a\"'&<b>",
-    "terminal": "a\x1b[2Jb", "long": "a" * 240, "dash": "--output", "equals": "a=b", "not-utf8": "a\udcffb",
-    "template": "{{7*7}}", "percent": "%s%n%2e%2e", "dots": "...",
-}  # fmt: skip
+    "terminal": "a\x1b[2Jb",
+    "long": "a" * 240,
+    "dash": "--output",
+    "equals": "a=b",
+    "not-utf8": "a\udcffb",
+    "template": "{{7*7}}",
+    "percent": "%s%n%2e%2e",
+    "dots": "...",
+}
 """Names of folders of runs."""
 IMAGE = "images/test-00-test-000-suburb-000001.png"
 

@@ -56,10 +56,14 @@ def sound() -> dict[str, tuple[str, str]]:
     """Return name and text of a sound file of every format."""
     found = texts()
     return {
-        "rig": ("rig.yaml", RIG), "opencv": ("opencv.yaml", found.OPENCV), "ros": ("ros.yaml", found.ROS),
-        "kalibr": ("chain.yaml", found.KALIBR), "ocamcalib": ("calib_results.txt", found.OCAMCALIB),
-        "kitti360": ("image_03.yaml", found.KITTI360), "omnimvs": ("config.yaml", found.OMNIMVS),
-    }  # fmt: skip
+        "rig": ("rig.yaml", RIG),
+        "opencv": ("opencv.yaml", found.OPENCV),
+        "ros": ("ros.yaml", found.ROS),
+        "kalibr": ("chain.yaml", found.KALIBR),
+        "ocamcalib": ("calib_results.txt", found.OCAMCALIB),
+        "kitti360": ("image_03.yaml", found.KITTI360),
+        "omnimvs": ("config.yaml", found.OMNIMVS),
+    }
 
 
 def write(folder: Path, kind: str) -> Path:
@@ -258,11 +262,17 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
 }
 """Changes of sound texts. YAML reads 0100, yes, 1:04 and names such as on as something else than is written."""
 MESHES = {
-    "faces-beyond": CAR + "f 1 2 99\n", "faces-nothing": CAR + "f 0 1 2\n", "faces-far-below": CAR + "f -9 -8 -7\n",
-    "vertices-nan": CAR.replace("v 9 9 -2", "v nan 9 -2"), "vertices-infinite": CAR.replace("v 9 9 -2", "v 1e400 9 -2"),
-    "vertices-two-numbers": CAR.replace("v 9 9 -2", "v 9 9"), "faces-text": CAR + "f a b c\n", "empty": "",
-    "faces-huge": CAR + "f 1 2 99999999999999999999999\n", "no-text": "\x00\x01" * 50,
-}  # fmt: skip
+    "faces-beyond": CAR + "f 1 2 99\n",
+    "faces-nothing": CAR + "f 0 1 2\n",
+    "faces-far-below": CAR + "f -9 -8 -7\n",
+    "vertices-nan": CAR.replace("v 9 9 -2", "v nan 9 -2"),
+    "vertices-infinite": CAR.replace("v 9 9 -2", "v 1e400 9 -2"),
+    "vertices-two-numbers": CAR.replace("v 9 9 -2", "v 9 9"),
+    "faces-text": CAR + "f a b c\n",
+    "empty": "",
+    "faces-huge": CAR + "f 1 2 99999999999999999999999\n",
+    "no-text": "\x00\x01" * 50,
+}
 
 
 def text_cases() -> Iterator[Case]:

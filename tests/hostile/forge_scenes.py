@@ -43,7 +43,7 @@ def openings(box: Box, names: tuple[str, ...], expect: str, seed: float) -> list
         ("report.py", "--datasets", str(root)),
         ("train.py", *own, "plan=true", f"paths.runs={box.out / 'runs'}", f"paths.data={box.out / 'data'}"),
         ("evaluate.py", checkpoint, data, own[3], "--output", str(box.out / "result")),
-    ]  # fmt: skip
+    ]
     # a folder whose meta.json is no file is no scene, which several commands pass over
     names = (*names, SCENE, "no recorded scenes", str(root))
     found = [Opening(("check.py", *own, "--workers", "0"), expect, names)]
@@ -304,10 +304,14 @@ SEALED: dict[str, tuple[str, Callable[[Path], None]]] = {
 }
 """What the check must say, and the change; checksums are right, as a hostile writer would have them."""
 TEXTS = {
-    "meta-deep": (META, b'{"a":' * 100_000), "meta-a-list": (META, b"[]"), "meta-number": (META, b"NaN"),
-    "meta-not-utf8": (META, b'{"a": "\xff"}'), "index-deep": (INDEX, b"[" * 200_000), "index-a-list": (INDEX, b"[]"),
+    "meta-deep": (META, b'{"a":' * 100_000),
+    "meta-a-list": (META, b"[]"),
+    "meta-number": (META, b"NaN"),
+    "meta-not-utf8": (META, b'{"a": "\xff"}'),
+    "index-deep": (INDEX, b"[" * 200_000),
+    "index-a-list": (INDEX, b"[]"),
     "meta-long-number": (META, b'{"schema": 1' + b"0" * 5000 + b"}"),
-}  # fmt: skip
+}
 
 
 def _crc(folder: Path, rng: random.Random) -> None:
@@ -349,9 +353,11 @@ def cases(seed: int) -> list[Case]:
             # every member has a checksum; what stands between them is not read
             expect = "either" if file == SHARD and name in DAMAGED else "refused"
             add(
-                f"{file}-{name}", expect, (file,),
+                f"{file}-{name}",
+                expect,
+                (file,),
                 lambda folder, file=file, name=name, drawn=drawn: (BROKEN | DAMAGED)[name](
                     folder / file, random.Random(drawn)
                 ),
-            )  # fmt: skip
+            )
     return found

@@ -86,22 +86,35 @@ class Box:
                 state = (place / name).lstat()
                 is_folder = stat.S_ISDIR(state.st_mode)
                 found[str((place / name).relative_to(self.folder))] = (
-                    stat.S_IFMT(state.st_mode), *(() if is_folder else (state.st_size, state.st_mtime_ns))
-                )  # fmt: skip
+                    stat.S_IFMT(state.st_mode),
+                    *(() if is_folder else (state.st_size, state.st_mtime_ns)),
+                )
         return found
 
     def run(self, opening: Opening, timeout_s: float) -> "subprocess.CompletedProcess[str]":
         """Run a command with this box as its surroundings."""
         script, *arguments = opening.command
         variables = {
-            "HOME": self.home, "TMPDIR": self.temporary, "XDG_CACHE_HOME": self.home / "cache",
-            "MPLCONFIGDIR": self.shared, "TORCHINDUCTOR_CACHE_DIR": self.shared, "PYTHONPATH": self.work,
-            "HOSTILE_SECRET": SECRET, "OMNIOCC_PACKAGES": "", "WANDB_MODE": "disabled", "HF_HUB_OFFLINE": "1",
-        }  # fmt: skip
+            "HOME": self.home,
+            "TMPDIR": self.temporary,
+            "XDG_CACHE_HOME": self.home / "cache",
+            "MPLCONFIGDIR": self.shared,
+            "TORCHINDUCTOR_CACHE_DIR": self.shared,
+            "PYTHONPATH": self.work,
+            "HOSTILE_SECRET": SECRET,
+            "OMNIOCC_PACKAGES": "",
+            "WANDB_MODE": "disabled",
+            "HF_HUB_OFFLINE": "1",
+        }
         return run_script(
-            script, *arguments, cwd=self.work, timeout_s=timeout_s, memory_bytes=MEMORY_BYTES,
-            kill_when=opening.stop_when or (lambda: False), **{key: str(value) for key, value in variables.items()},
-        )  # fmt: skip
+            script,
+            *arguments,
+            cwd=self.work,
+            timeout_s=timeout_s,
+            memory_bytes=MEMORY_BYTES,
+            kill_when=opening.stop_when or (lambda: False),
+            **{key: str(value) for key, value in variables.items()},
+        )
 
     def problems(self, opening: Opening) -> list[str]:
         """Run a command and return what it did that it must not do; an empty list if it behaved."""

@@ -31,9 +31,16 @@ FORGES = (
     "forge_bags",
 )
 MOST = {
-    "checkpoints": 60, "scenes and shards": 64, "point clouds": 74, "rigs and calibrations": 56,
-    "files of poses and times": 30, "dataset files": 156, "folders of runs": 44, "archives of runs": 20, "bags": 24,
-}  # fmt: skip
+    "checkpoints": 60,
+    "scenes and shards": 64,
+    "point clouds": 74,
+    "rigs and calibrations": 56,
+    "files of poses and times": 30,
+    "dataset files": 156,
+    "folders of runs": 44,
+    "archives of runs": 20,
+    "bags": 24,
+}
 """Files of each kind that one seed opens; HOSTILE_ALL=1 opens all."""
 
 
@@ -74,10 +81,16 @@ def test_file(case: Case, base: Path, tmp_path_factory, record_property) -> None
 
 def test_there_are_enough_files() -> None:
     wanted = {
-        "checkpoints": 40, "scenes and shards": 60, "point clouds": 70, "rigs and calibrations": 50,
-        "files of poses and times": 20, "dataset files": 150, "folders of runs": 40, "archives of runs": 15,
+        "checkpoints": 40,
+        "scenes and shards": 60,
+        "point clouds": 70,
+        "rigs and calibrations": 50,
+        "files of poses and times": 20,
+        "dataset files": 150,
+        "folders of runs": 40,
+        "archives of runs": 15,
         "bags": 20,
-    }  # fmt: skip
+    }
     found = Counter(case.kind for case in CASES)
     assert found.keys() == wanted.keys()
     assert all(found[kind] >= least for kind, least in wanted.items()), found

@@ -9,9 +9,12 @@ GRID = Cylinder((8, 12, 4), (0.0, 12.0), (-2.8, 3.2))
 LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
 FORWARD = torch.tensor([[1.0, 0.0, 0.0]])
 METRICS = {
-    "rays": (RayIoU, {"grid": GRID}), "voxels": (VoxelIoU, {}), "depth": (DepthMetrics, {}),
-    "calibration": (CalibrationError, {}), "candidates": (CandidateScores, {"grid": GRID}),
-}  # fmt: skip
+    "rays": (RayIoU, {"grid": GRID}),
+    "voxels": (VoxelIoU, {}),
+    "depth": (DepthMetrics, {}),
+    "calibration": (CalibrationError, {}),
+    "candidates": (CandidateScores, {"grid": GRID}),
+}
 
 
 def batch(name, seed=0):
@@ -21,9 +24,12 @@ def batch(name, seed=0):
     target[torch.rand(target.shape, generator=generator) < 0.8] = 0
     preds, fraction = target.roll(1, 1), torch.rand(target.shape, generator=generator)
     return {
-        "rays": (preds, target), "voxels": (preds, target), "depth": (fraction + 2, fraction * 9 + 1),
-        "calibration": (fraction, fraction > 0.4), "candidates": (preds > 0, target),
-    }[name]  # fmt: skip
+        "rays": (preds, target),
+        "voxels": (preds, target),
+        "depth": (fraction + 2, fraction * 9 + 1),
+        "calibration": (fraction, fraction > 0.4),
+        "candidates": (preds > 0, target),
+    }[name]
 
 
 def same(left, right):

@@ -155,9 +155,24 @@ def test_results_of_several_steps_are_lines(name):
 
 
 HEAVY = (
-    "lightning", "pytorch_lightning", "hydra", "omegaconf", "wandb", "transformers", "embreex", "cv2", "scipy", "PIL",
-    "jinja2", "rich", "safetensors", "fsspec", "zstandard", "yaml", "matplotlib",
-)  # fmt: skip
+    "lightning",
+    "pytorch_lightning",
+    "hydra",
+    "omegaconf",
+    "wandb",
+    "transformers",
+    "embreex",
+    "cv2",
+    "scipy",
+    "PIL",
+    "jinja2",
+    "rich",
+    "safetensors",
+    "fsspec",
+    "zstandard",
+    "yaml",
+    "matplotlib",
+)
 
 
 def test_importing_the_metrics_is_light():

@@ -14,10 +14,13 @@ def name(request):
 
 
 ARRAYS = {
-    "plain": lambda array: array, "backward": lambda array: array[:, ::-1][:, ::-1], "fortran": np.asfortranarray,
-    "swapped": lambda array: array.astype(array.dtype.newbyteorder(">")), "list": lambda array: array.tolist(),
+    "plain": lambda array: array,
+    "backward": lambda array: array[:, ::-1][:, ::-1],
+    "fortran": np.asfortranarray,
+    "swapped": lambda array: array.astype(array.dtype.newbyteorder(">")),
+    "list": lambda array: array.tolist(),
     "read_only": lambda array: np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape),
-}  # fmt: skip
+}
 
 
 @pytest.mark.filterwarnings("error")

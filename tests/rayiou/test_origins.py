@@ -42,9 +42,15 @@ def test_scores_of_each_time_are_those_of_its_origins_alone(edges_m):
             alone.update(preds[one], target[one], ORIGINS[sample][chosen][None])
         assert scores[f"rayiou_{name}"] == alone.compute()["rayiou"]
     function = ray_iou(
-        preds, target, GRID, ORIGINS, directions=DIRECTIONS, range_edges_m=edges_m, split_origins=True,
+        preds,
+        target,
+        GRID,
+        ORIGINS,
+        directions=DIRECTIONS,
+        range_edges_m=edges_m,
+        split_origins=True,
         origin_times=TIMES,
-    )  # fmt: skip
+    )
     assert all(torch.equal(function[key], value) for key, value in scores.items())
 
 

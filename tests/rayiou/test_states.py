@@ -17,18 +17,29 @@ BANDS = {"range_edges_m": (0.0, 4.0, 9.0)}
 KEYS = {"rays": "rayiou", "voxels": "miou", "depth": "mae", "calibration": "ece", "candidates": "recall"}
 OTHERS = {
     "rays": [
-        RayIoU(WIDE), RayIoU(GRID, thresholds_m=(1, 2, 3)), RayIoU(GRID, hit="entry"), RayIoU(GRID, ignore_index=99),
-        RayIoU(GRID, count_free_rays=True), RayIoU(GRID, num_classes=18), RayIoU(GRID, **BANDS),
-        RayIoU(GRID, directions=FORWARD), RayIoU(GRID, target_grid=WIDE), RayIoU(GRID, fine_thresholds_m=(0.5,)),
-        RayIoU(GRID, split_origins=True), RayIoU(GRID, free_index=3),
+        RayIoU(WIDE),
+        RayIoU(GRID, thresholds_m=(1, 2, 3)),
+        RayIoU(GRID, hit="entry"),
+        RayIoU(GRID, ignore_index=99),
+        RayIoU(GRID, count_free_rays=True),
+        RayIoU(GRID, num_classes=18),
+        RayIoU(GRID, **BANDS),
+        RayIoU(GRID, directions=FORWARD),
+        RayIoU(GRID, target_grid=WIDE),
+        RayIoU(GRID, fine_thresholds_m=(0.5,)),
+        RayIoU(GRID, split_origins=True),
+        RayIoU(GRID, free_index=3),
     ],
     "voxels": [
-        VoxelIoU(grid=GRID), VoxelIoU(ignore_index=99), VoxelIoU(free_index=3), VoxelIoU(num_classes=18),
+        VoxelIoU(grid=GRID),
+        VoxelIoU(ignore_index=99),
+        VoxelIoU(free_index=3),
+        VoxelIoU(num_classes=18),
     ],
     "depth": [DepthMetrics(1.0), DepthMetrics(farthest_m=50.0), DepthMetrics(spheres=96), DepthMetrics(**BANDS)],
     "calibration": [CalibrationError(10)],
     "candidates": [CandidateScores(WIDE), CandidateScores(GRID, (0.0, 4.0, 9.0, 25.6))],
-}  # fmt: skip
+}
 PAIRS = [(name, other) for name, others in OTHERS.items() for other in others]
 
 
@@ -38,9 +49,10 @@ def name(request):
 
 
 CASTS = {
-    "half": lambda module: module.half(), "to": lambda module: module.to("cpu", torch.bfloat16),
+    "half": lambda module: module.half(),
+    "to": lambda module: module.to("cpu", torch.bfloat16),
     "type": lambda module: module.type(torch.float64),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("cast", CASTS)

@@ -7,9 +7,13 @@ from omniworld.assets import barrier, building, catalog, pole, prop, tree, vehic
 from omniworld.mesh import label
 
 _CLASS = {
-    "tree": (tree, label.VEGETATION), "barrier": (barrier, label.WALL), "prop": (prop, label.OTHER),
-    "pole": (pole, label.POLE), "vehicle": (vehicle, label.VEHICLE), "building": (building, label.BUILDING),
-}  # fmt: skip
+    "tree": (tree, label.VEGETATION),
+    "barrier": (barrier, label.WALL),
+    "prop": (prop, label.OTHER),
+    "pole": (pole, label.POLE),
+    "vehicle": (vehicle, label.VEHICLE),
+    "building": (building, label.BUILDING),
+}
 
 
 @pytest.mark.parametrize("group", _CLASS)

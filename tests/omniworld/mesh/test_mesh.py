@@ -30,9 +30,9 @@ def test_box_is_closed_and_painted() -> None:
     np.testing.assert_allclose(mesh.uv[front][..., 1], mesh.vertices[mesh.faces[front]][..., 2])
 
 
-@pytest.mark.parametrize(("side", "axis", "value"), [
-    ("f", 1, -1.5), ("b", 1, 1.5), ("r", 0, 1), ("l", 0, -1), ("t", 2, 2), ("d", 2, -2)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("side", "axis", "value"), [("f", 1, -1.5), ("b", 1, 1.5), ("r", 0, 1), ("l", 0, -1), ("t", 2, 2), ("d", 2, -2)]
+)
 def test_panel_keeps_the_sides_named(side: str, axis: int, value: float) -> None:
     mesh = panel((2, 3, 4), (0, 0, 0), _STONE, side)
     corners = mesh.vertices[mesh.faces].astype(float)

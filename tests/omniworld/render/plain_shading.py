@@ -19,7 +19,7 @@ from omniworld.render.surface import (
     UV_EDGE_1,
     UV_EDGE_2,
     Surfaces,
-)  # fmt: skip
+)
 from omniworld.render.texture.atlas import LAYER_PX, LEVEL_START, LEVELS, MACRO_M, SIZE_PX, make_atlas
 
 _LIFT_M = np.float32(0.02)
@@ -29,9 +29,14 @@ _OWN = ((np.arange(256) / 255) ** 2).astype(np.float32)
 
 
 def shade(
-    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Shadows, light: Light,
+    hits: Hits,
+    origin: np.ndarray,
+    directions: np.ndarray,
+    surfaces: Surfaces,
+    shadows: Shadows,
+    light: Light,
     pixel_rad: float,
-) -> Shading:  # fmt: skip
+) -> Shading:
     """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
     `hits` are those of R rays from the camera at `origin` (3,) along unit `directions` (3, R) float32 in world axes,
@@ -79,9 +84,15 @@ def _sunlight(
 
 
 def _surface_color(
-    hits: Hits, points: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray,
-    sunlight: tuple[np.ndarray, np.ndarray | None], light: Light, pixel_rad: float,
-) -> np.ndarray:  # fmt: skip
+    hits: Hits,
+    points: np.ndarray,
+    directions: np.ndarray,
+    attributes: np.ndarray,
+    cosine: np.ndarray,
+    sunlight: tuple[np.ndarray, np.ndarray | None],
+    light: Light,
+    pixel_rad: float,
+) -> np.ndarray:
     u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
     code = attributes[LAYER].astype(np.int32)
@@ -105,9 +116,13 @@ def _surface_color(
 
 
 def _mirror(
-    color: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray, tint: np.ndarray,
+    color: np.ndarray,
+    directions: np.ndarray,
+    attributes: np.ndarray,
+    cosine: np.ndarray,
+    tint: np.ndarray,
     light: Light,
-) -> None:  # fmt: skip
+) -> None:
     """Add in place what glossy surfaces mirror by Schlick's Fresnel term: the sky; below the horizon a dim grey."""
     gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
     if light.wet:
