@@ -38,6 +38,7 @@ sys.path[:0] = [
             "train",
             "rayiou",
             "model/lifter",
+            "data",
             "data/formats",
             "extras/viewer",
             "extras/viewer/watch",

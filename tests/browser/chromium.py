@@ -2,6 +2,9 @@
 
 import shutil
 
+import cv2
+import numpy as np
+
 ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 """Software WebGL, also as root."""
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -15,3 +18,17 @@ def find_chromium() -> str | None:
 def processor_s(session) -> float:
     """Return the processor time of all processes of a browser, s; `session` is one of its DevTools protocol."""
     return sum(process["cpuTime"] for process in session.send("SystemInfo.getProcessInfo")["processInfo"])
+
+
+def screen(page) -> np.ndarray:
+    """Return the pixels (height, width, 3) of the canvas as they are on the screen."""
+    page.drawn()
+    page.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    data = np.frombuffer(page.page.locator("#canvas").screenshot(), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+
+
+def frame_of(page) -> int:
+    """Return the number of the frame that a page shows, once it is drawn."""
+    page.drawn()
+    return page.js("omniocc.state.frame")

@@ -31,7 +31,6 @@ def test_it_keeps_the_contracts_and_turns_right_into_left(tmp_path, coordinates)
     assert scene.world_from_ego[:, :2, 3].tolist() == [[0, 0], [1, -0.5], [2, -1]]
     labels = scene.own_voxels(0, "none")
     building = (labels == 1).nonzero()
-    assert building[:, 1].tolist() == sorted(building[:, 1].tolist()) or len(building)
     assert set(building[:, 1].tolist()) == set(range(127 - 89, 127 - 79))  # y > 0 in Unreal is on our right
     assert (labels[..., 0] == 6).all()
     unobserved = scene.own_voxels(0, "unobserved")

@@ -148,3 +148,24 @@ def compressed(whole: bytes) -> bytes:
             place += 1
     flush()
     return bytes(result)
+
+
+CLASSES = "classes: classes.yaml"
+NPZ = lidar_option("npz", CLASSES)
+
+
+def record(recorder, root, *overrides) -> SceneReader:
+    (folder,) = recorder(*overrides).record(root)
+    return SceneReader(folder)
+
+
+def first_image(log, original, camera=1, frame=1):
+    return sorted((log / original.rig.names[camera]).iterdir())[frame]
+
+
+def rewrite(log, change, frames=None):
+    """Replace the points of the scans `npz` of a log, all or the first ones, by a function of points and labels."""
+    for path in sorted((log / "npz").iterdir())[:frames]:
+        with np.load(path) as content:
+            points, labels = change(content["points"], content["labels"])
+        np.savez(path, points=points, labels=labels)

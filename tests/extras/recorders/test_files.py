@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from log_files import START_NS, lidar_option, rig_of, stamp_ns
+from log_files import CLASSES, NPZ, START_NS, first_image, lidar_option, record, rewrite, rig_of, stamp_ns
 from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
@@ -23,20 +23,12 @@ from omniocc.data.store.check import check_scene
 from omniocc.data.store.codec import decode_frame
 from omniocc.data.store.files import list_folders
 from omniocc.errors import UserError
-from omniocc.extras.recorders.labels import read_point_classes
 from omniocc.extras.recorders.log import Log, Scans, Timing, plan_frames
 from omniocc.extras.recorders.log_scene import origin_lines
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
 
 GRID = Cylinder()
-CLASSES = "classes: classes.yaml"
-NPZ = lidar_option("npz", CLASSES)
-
-
-def record(recorder, root, *overrides) -> SceneReader:
-    (folder,) = recorder(*overrides).record(root)
-    return SceneReader(folder)
 
 
 def same_rate(ours, theirs) -> float:
@@ -276,10 +268,6 @@ def test_a_stop_before_the_name_is_given_leaves_no_scene(recorder, original, tmp
     assert len(SceneReader(folder)) == len(original)
 
 
-def first_image(log, original, camera=1, frame=1):
-    return sorted((log / original.rig.names[camera]).iterdir())[frame]
-
-
 def test_missing_frames_are_listed(recorder, original, log_folder, tmp_path, capsys):
     log = shutil.copytree(log_folder, tmp_path / "log")
     first_image(log, original).unlink()
@@ -307,90 +295,6 @@ def test_frames_in_gaps_of_poses_and_scans_are_left_out(recorder, original, log_
     assert [entry["lacks"] for entry in scene.meta["facts"]["missing"]] == [["poses"]] * (len(original) - 1)
 
 
-def empty(log, original):
-    for path in (log / original.rig.names[0]).iterdir():
-        path.unlink()
-
-
-def damage(path, content=b"nothing"):
-    path.write_bytes(content)
-
-
-@pytest.mark.parametrize(
-    ("options", "harm", "words"),
-    [
-        (["time_unit=us", "poses_time_unit=ns"], None, "comes no nearer than"),
-        (["time_unit=ms", "poses_time_unit=ns"], None, "Are the units of its times right"),
-        (["cameras={frnt: front}"], None, "cameras: the rig has no camera 'frnt'; it has front"),
-        (["cameras={front: nowhere}"], None, "cameras.front=nowhere: there is no folder"),
-        (["cameras={front: front/*.jpeg}"], None, "holds none of .png"),
-        (["reference=middle"], None, "reference=middle is no camera; cameras: front"),
-        ([], empty, "holds none of .png, .jpg"),
-        ([], lambda log, scene: damage(first_image(log, scene)), "the file is no image, or damaged"),
-        ([], lambda log, scene: damage(log / "poses.csv", b"1,2,3\n"), "line 1: 2 numbers of a pose"),
-        ([], lambda log, scene: damage(log / "poses.csv", b"t\n"), "holds no poses; is poses_format=csv right?"),
-        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,2,0,0,0"), "line 1: the pose: rotation"),
-        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,1,0,0,0\n" * 2), "line 2: a pose of this time"),
-        ([], lambda log, scene: (log / "poses.csv").unlink(), "poses.csv: the file is missing"),
-        (["poses_format=kitti"], None, "poses_times is for poses_format=kitti, and needed there"),
-        (["rig=nothing.yaml"], None, "no rig file 'nothing.yaml'"),
-        (
-            [NPZ],
-            lambda log, scene: damage(log / "classes.yaml", b"1: Road"),
-            "the class ids [",
-        ),
-        ([NPZ], lambda log, scene: damage(log / "classes.yaml", b"[]"), "it must map ids"),
-        (
-            [NPZ],
-            lambda log, scene: damage(log / "classes.yaml", b"1: free"),
-            "the name 'free'",
-        ),
-        ([lidar_option("bin", CLASSES)], lambda log, scene: unlabel(log), "its points have no class ids"),
-        ([lidar_option("bin", "columns: 7")], None, "it is damaged"),
-        (
-            [lidar_option("ply")],
-            lambda log, scene: damage(sorted((log / "ply").iterdir())[0]),
-            "the header of a PLY file is missing",
-        ),
-        ([lidar_option("empty")], lambda log, scene: (log / "empty").mkdir(), "lidar.folder=empty:"),
-    ],
-)
-def test_mistakes_get_one_line(recorder, original, log_folder, tmp_path, options, harm, words):
-    log = shutil.copytree(log_folder, tmp_path / "log")
-    if harm is not None:
-        harm(log, original)
-    with pytest.raises((UserError, DataError)) as caught:
-        recorder(*options, log=log).record(tmp_path / "scenes")
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "scenes" / "train-000-own").exists()
-
-
-def unlabel(log):
-    for path in (log / "bin").glob("*.label"):
-        path.unlink()
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("limit_s=0", "limit_s is 0; it must be above 0"),
-        ("interval_s=-1", "interval_s is -1; it must be above 0"),
-        ("name=a/b", "name is 'a/b'"),
-        ("lidar={folder: npz}", "lidar.ego_from_lidar is missing"),
-        ("lidar={foldr: npz}", "lidar has no option foldr"),
-        ("lidar={folder: npz, ego_from_lidar: [1, 2]}", "lidar.ego_from_lidar is [1, 2]; give rows"),
-        ("ego_from_pose_frame={position_m: [0, 0, 0]}", "it needs position_m and quaternion_wxyz"),
-        ("panorama=[720,180,-45.0,45.0]", "need -90 <= bottom_deg < top_deg"),
-        ("time_unit=minutes", "time_unit: 'minutes' is not one of 's', 'ms', 'us', 'ns'"),
-    ],
-)
-def test_impossible_options_are_refused_before_anything_is_read(recorder, override, words):
-    with pytest.raises(UserError) as caught:
-        recorder(override)
-    assert words in str(caught.value)
-
-
 def test_the_own_car_is_left_out(recorder, tmp_path):
     box = "own_car_m: [[-4, -2, -3], [4, 2, 3]]"
     scene = record(recorder, tmp_path, lidar_option("npz", box))
@@ -413,35 +317,6 @@ def test_classes_of_a_logs_own(recorder, log_folder, original, tmp_path):
     assert np.array_equal(ours, np.sort(expected))
 
 
-@pytest.mark.parametrize("rgb", ["5", "[1, 2]", "[1, 2, 300]", "[1, 2, 0.5]"])
-def test_a_colour_is_three_numbers(rgb, tmp_path):
-    (tmp_path / "classes.yaml").write_text(f"1: {{name: way, rgb: {rgb}}}\n")
-    with pytest.raises(DataError, match=r"id 1 has rgb: .*; give three whole numbers from 0 to 255"):
-        read_point_classes(tmp_path / "classes.yaml")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("1: way\n2: car\n1: car", "line 3: the key 1 is in line 1 already; keep one"),
-        ("1: {name: way, rgb: [1, 2, 3], name: car}", "line 1: the key 'name' is in line 1 already"),
-        ("1: {name: way, rgb: [1, 2, 3]}\n2: {name: way, rgb: [1, 2, 4]}", "the class 'way' has the colours"),
-        (
-            "1: !!python/name:os.system",
-            "line 1: the tag 'tag:yaml.org,2002:python/name:os.system' is none",
-        ),
-        ("[" * 1000, "line 1: it is nested in more than 100 levels"),
-        ("1: way\0", "it is no text in UTF-8: line 1 holds the byte 0x00"),
-    ],
-)
-def test_a_class_has_one_name_and_colour(tmp_path, text, message):
-    (tmp_path / "classes.yaml").write_text(text)
-    with pytest.raises(DataError, match=r"classes\.yaml: ") as caught:
-        read_point_classes(tmp_path / "classes.yaml")
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
     """The CSV of `predict.py` has names for times; with numbers as names both readers give the same poses."""
     from omniocc.extras.recorders.poses import read_timed_poses
@@ -460,56 +335,6 @@ def test_an_origin_beside_the_cameras_is_told():
     rear_axle[:, 0, 3] += 1.4
     (line,) = origin_lines(replace(rig, ego_from_camera=rear_axle))
     assert line.startswith("the middle of the cameras is 1.4 m ahead of the ego origin and 0.0 m to its left")
-
-
-def rewrite(log, change, frames=None):
-    """Replace the points of the scans `npz` of a log, all or the first ones, by a function of points and labels."""
-    for path in sorted((log / "npz").iterdir())[:frames]:
-        with np.load(path) as content:
-            points, labels = change(content["points"], content["labels"])
-        np.savez(path, points=points, labels=labels)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda points, labels: (points * 1000, labels), "looks like millimetres"),
-        (lambda points, labels: (points + np.float64([5e5, 5e6, 400]), labels), "looks like world coordinates (UTM"),
-        (
-            lambda points, labels: (points * 0, labels),
-            "none of its 0 points lies within 25.6 m: rays",
-        ),
-    ],
-)
-def test_a_log_without_a_point_within_reach_is_refused_before_anything_is_written(
-    recorder, log_folder, tmp_path, change, words
-):
-    log = shutil.copytree(log_folder, tmp_path / "log")
-    rewrite(log, change)
-    with pytest.raises(DataError) as caught:
-        recorder(NPZ, log=log).record(tmp_path / "scenes")
-    assert "all 2 frames have hardly any points, in the first of them " in str(caught.value)
-    assert str(caught.value).startswith(f"{min((log / 'npz').iterdir())}: ")
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert not list((tmp_path / "scenes").glob("*"))
-
-
-def test_a_lidar_that_looks_far_ahead_alone_is_recorded(recorder, log_folder, tmp_path, capsys):
-    log = shutil.copytree(log_folder, tmp_path / "log")
-    rewrite(log, lambda points, labels: (points + np.float32([0, 90, 0]), labels))
-    assert len(SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])) == 2
-    assert "2 of 2 frames have hardly any points, in the first of them none of its" in capsys.readouterr().err
-
-
-def test_frames_without_a_point_within_reach_are_said(recorder, log_folder, tmp_path, capsys):
-    log = shutil.copytree(log_folder, tmp_path / "log")
-    rewrite(log, lambda points, labels: (points * 1000, labels), frames=1)
-    scene = SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])
-    assert len(scene) == 2
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if "hardly any" in line]
-    assert line.startswith("scene 'train-000-own': 1 of 2 frames have hardly any points, in the first of them ")
-    assert "looks like millimetres" in line
 
 
 def test_rays_that_did_not_come_back_are_nowhere_in_a_recording(recorder, log_folder, tmp_path):
