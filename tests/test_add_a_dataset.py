@@ -16,7 +16,7 @@ FILE = re.compile(r"^`([\w/.]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTA
 COMMAND = re.compile(r"^python src/(\w+\.py) (.*)$", re.MULTILINE)
 ROAD_Z_M, WALL_M = -2.0, 6.0
 
-pytestmark = pytest.mark.slow(30)
+pytestmark = [pytest.mark.slow(30), pytest.mark.whole_runs]
 
 
 def write_drive(folder: Path) -> None:

@@ -71,6 +71,7 @@ def test_the_three_files_of_the_page_are_an_option_at_every_preset(my_refiner, t
         assert refiner.channels == cfg.preset.channels
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow(20)
 def test_the_table_of_the_page_is_what_compare_prints(tmp_path):
     (arguments,) = re.findall(r"^`python src/report\.py (--runs .*?)` prints:$", TEXT, re.MULTILINE)

@@ -148,6 +148,7 @@ def test_recipes_hold_nothing_else():
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 @pytest.mark.parametrize("name", shipped())
 def test_each_shipped_file_gives_the_figures_of_its_card(name, tool):

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
+pytestmark = [pytest.mark.slow(30), pytest.mark.whole_runs]
+
 ROOT = Path(__file__).parents[1]
 METRIC = ROOT / "src" / "rayiou"
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
