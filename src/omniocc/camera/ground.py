@@ -9,7 +9,7 @@ from torch import Tensor
 from omniocc.camera.pose import invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera
 
-STEPS = 30
+STEPS = 30  # at most; the fit ends earlier by TOLERANCE
 DIFFERENCE = 1e-6  # step of the central differences, in radians and metres
 TOLERANCE = 1e-10  # change of the pose, in radians and metres, at which the search ends
 
@@ -56,7 +56,7 @@ def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) ->
     """Return `camera_from_ego` of both poses of the plane, seen by a pinhole directed at the middle of the points."""
     virtual_from_camera = _turn_to_front(rays.mean(0))
     turned = rays @ virtual_from_camera.T
-    ahead = turned[:, 2] > 0.1
+    ahead = turned[:, 2] > 0.1  # within 84 degrees of the middle; the slopes of rays farther out grow without bound
     slopes = (turned[ahead, :2] / turned[ahead, 2:]).numpy()
     if len(slopes) < 4:
         raise ValueError(

@@ -33,8 +33,8 @@ class FrameCache(ABC):
     Args:
         folder: of the files; its name must depend on everything that the arrays depend on.
         shape: of every array.
-        data: fingerprint of the data that scenes without a fingerprint of their own are of, in a folder for scenes of
-            any data; None: the folder is for scenes of one data set, whose names tell them apart.
+        data: fingerprint of the data, for scenes that have none of their own; the folder holds scenes of any data.
+            None: the folder holds scenes of one dataset, and their names tell them apart.
     """
 
     BITS: ClassVar[int]

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-CHUNK_SUMS = 2**15  # whose inner products are computed at a time: what is written for them then stays in the cache
+CHUNK_SUMS = 2**15  # sums whose inner products are computed together, so that their results stay in the cache
 
 
 def bag_sum(
