@@ -10,9 +10,9 @@ Option = TypeVar("Option")
 
 
 def generator(theme: str, seed: int, purpose: str) -> np.random.Generator:
-    """Return the generator of one purpose ('network', 'traffic', ...) in the world (theme, seed).
+    """Return the generator of one purpose ('network', 'traffic', ...) in the world of a theme and a seed.
 
-    It is the same in every process. Renaming a purpose changes every world.
+    Every process gets the same numbers from it. Renaming a purpose changes its numbers in every world.
     """
     digest = hashlib.sha256(f"{theme}/{seed}/{purpose}".encode()).digest()
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4"))
@@ -24,7 +24,7 @@ def choice(rng: np.random.Generator, options: Sequence[Option]) -> Option:
 
 
 def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float | int]) -> str:
-    """Return one key, with probability proportional to its weight."""
+    """Return one key of `weights`, drawn with a probability proportional to its weight."""
     names = list(weights)
     cumulative = np.cumsum([weights[name] for name in names])
     return names[int(np.searchsorted(cumulative, rng.uniform() * cumulative[-1], side="right"))]

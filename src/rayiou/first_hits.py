@@ -22,23 +22,25 @@ def ray_hits(
     free_index: int = FREE,
     ignore_index: int = UNKNOWN,
 ) -> Hits:
-    """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
+    """Return distances, class and cell of the first hit of each ray in one label volume.
+
+    Other metrics, such as RayPQ, compare these hits.
 
     Args:
-        labels: class of every cell, or `ignore_index`, which stops a ray as well.
+        labels: class of every cell; `ignore_index` marks an unknown cell, which also stops a ray.
         grid: grid of the labels.
-        origins: starts of the rays, ego frame, metres; default the ego origin.
-        directions: of the rays from every origin; default `sparseocc_directions()`.
+        origins: where rays start, m, in the ego frame; by default the ego origin alone.
+        directions: of the rays, the same from every origin; by default `sparseocc_directions()`.
         num_classes: number of classes, free included.
         free_index: id of free space, and of rays without a hit.
         ignore_index: id of unknown cells.
 
     Returns:
-        All rays from the first origin, then those from the next. `cells` indexes the flattened volume, so instance ids
-        of hits are `instances.flatten()[hits.cells]` where `hits.cells >= 0`.
+        The hits of all rays from the first origin, then the hits from the next one. `cells` indexes the flattened
+        volume, -1 without a hit: `instances.flatten()[hits.cells]` are the instance ids where `hits.cells >= 0`.
 
     Raises:
-        ValueError: naming a wrong shape, type or value.
+        ValueError: when an argument has a wrong shape, type or value.
 
     Example:
         >>> grid = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
@@ -50,8 +52,10 @@ def ray_hits(
     """
     classes = ClassIds(num_classes, free_index, ignore_index)
     labels, origins = as_tensors("cpu", labels=labels, origins=origins)
+    # labels may hold `ignore_index`, which `check` accepts of a truth alone
     checked = classes.check("labels", labels.unsqueeze(0), grid.shape, truth=True)[0]
     starts = torch.zeros(1, 3) if origins is None else origins
     check_origins("origins", starts)
+    # `cast` takes 0 as free; in uint8 the difference wraps around, and the sum below undoes it
     hits = ray_table(grid, starts.to(labels.device), scan_of(directions)).cast(checked - free_index)
     return hits._replace(labels=hits.labels + free_index)

@@ -9,7 +9,7 @@ import torch
 from omniocc.config import build
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.predict.trained import check_changes, check_places
+from omniocc.predict.trained import check_overrides, check_places
 from omniocc.train.build import check_devices, line_on_lifter
 
 
@@ -64,9 +64,9 @@ def test_queries_that_would_get_no_evidence_or_no_stored_one_are_named(make_task
     ],
 )
 def test_overrides_of_a_checkpoint_that_do_not_what_they_say_are_refused(override, message):
-    check_changes(Path("a.ckpt"), ["data.source.root=/x", "model.temporal.frames=1"])
+    check_overrides(Path("a.ckpt"), ["data.source.root=/x", "model.temporal.frames=1"])
     with pytest.raises(UserError, match=message):
-        check_changes(Path("a.ckpt"), ["data.source.root=/x", override])
+        check_overrides(Path("a.ckpt"), ["data.source.root=/x", override])
 
 
 def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):

@@ -1,4 +1,4 @@
-"""The protocol of camera models, and the checks of their parameters."""
+"""The methods that every camera model has, and checks of camera parameters."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -12,37 +12,39 @@ from omniocc.errors import repr_of
 
 @runtime_checkable
 class Camera(Protocol):
-    """Map between points in the camera frame (x right, y down, z forward; m) and pixels, as a frozen dataclass.
+    """A camera model, which maps points in the camera frame (x right, y down, z forward; m) to pixels and back.
 
-    Rays have unit length and are never computed on the plane z = 1, so angles past 90 degrees are as exact as others.
-    Values are finite and gradients free of NaN also where `valid` is false. Float32 and float64, any device.
+    Every model is a frozen dataclass. Rays have unit length. They are never computed on the plane z = 1, so that angles
+    past 90 degrees are as exact as smaller ones. Results that are not valid are finite too, without NaN in gradients.
+    Tensors may be float32 or float64, on any device.
     """
 
     @property
     def width(self) -> int:
-        """Return the pixels in a row."""
+        """Return the width of the image, px."""
         ...
 
     @property
     def height(self) -> int:
-        """Return the pixels in a column."""
+        """Return the height of the image, px."""
         ...
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """Return the pixel (u, v) of each point; valid if the model covers the angle and the pixel is in the image."""
+        """Return the pixel (u, v) of each point, and whether the model covers its angle and it is in the image."""
         ...
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """Return the unit ray of each pixel, in the image or not; valid where the model covers the angle."""
+        """Return the unit ray of each pixel, in the image or not, and whether the model covers the angle of the ray."""
         ...
 
     def resized(self, width: int, height: int) -> "Camera":
-        """Return the same camera with its image scaled to another size, in px."""
+        """Return the camera after its image is scaled to another size, px."""
         ...
 
 
 def finite(name: str, value: object) -> float:
-    """Return `value` as a float; raise ValueError if it is no finite number."""
+    """Return `value` as a float; raise ValueError unless it is a finite number."""
+    # the bound also excludes nan, and whole numbers that are too large for a float
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise ValueError(f"{name} is {repr_of(value)}; it must be a finite number")
     return float(value)
@@ -57,7 +59,7 @@ def positive(name: str, value: object) -> float:
 
 
 def pair(name: str, value: object) -> tuple[float, float]:
-    """Return `value` as a tuple of two floats; raise ValueError if it is not two finite numbers."""
+    """Return `value` as a tuple of two floats; raise ValueError unless it is a list of two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"{name} is {repr_of(value)}; it must be two numbers")
     return finite(name, value[0]), finite(name, value[1])
@@ -70,7 +72,7 @@ def positive_pair(name: str, value: object) -> tuple[float, float]:
 
 
 def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...]:
-    """Return `value` as a tuple of floats; raise ValueError unless it is `least` to `most` finite numbers."""
+    """Return `value` as a tuple of floats; raise ValueError unless it is a list of `least` to `most` finite numbers."""
     count = str(least) if least == most else f"{least} to {most}"
     if not isinstance(value, list | tuple) or not least <= len(value) <= most:
         raise ValueError(f"{name} is {repr_of(value)}; it must be {count} numbers")
@@ -78,7 +80,7 @@ def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...
 
 
 def angle_from_axis(name: str, value: object) -> float:
-    """Return `value` as a float; raise ValueError unless it is an angle from the optical axis, in (0, 180] degrees."""
+    """Return `value` as a float; raise ValueError unless it is above 0 and at most 180 degrees."""
     angle_deg = positive(name, value)
     if angle_deg > 180:
         raise ValueError(f"{name} is {repr_of(value)}; it is measured from the axis and ends at 180")
@@ -86,15 +88,19 @@ def angle_from_axis(name: str, value: object) -> float:
 
 
 def four_numbers(name: str, value: object) -> tuple[float, ...]:
-    """Return `value` as a tuple of floats; raise ValueError unless it is four finite numbers."""
+    """Return `value` as a tuple of floats; raise ValueError unless it is a list of four finite numbers."""
     return numbers(name, value, 4, 4)
 
 
 def check_fields(camera: Camera, checks: Mapping[str, Callable[[str, object], object]]) -> None:
-    """Replace fields of a frozen camera by what `check(name, value)` returns for each.
+    """Check the image size of a camera, and replace each field in `checks` by its checked value.
+
+    Args:
+        camera: a frozen dataclass, whose fields are changed; called while it is made (`__post_init__`).
+        checks: by name of a field: `check(name, value)`, which returns the checked value or raises ValueError.
 
     Raises:
-        ValueError: naming the wrong field, or a width or height that is no positive whole number.
+        ValueError: when a field is wrong, or width or height is no positive whole number; the message names it.
     """
     for name, value in (("width", camera.width), ("height", camera.height)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
@@ -104,5 +110,5 @@ def check_fields(camera: Camera, checks: Mapping[str, Callable[[str, object], ob
 
 
 def scaled_center(center_px: tuple[float, float], scale_x: float, scale_y: float) -> tuple[float, float]:
-    """Return the principal point of the scaled image, whose corner (-0.5, -0.5) stays where it is."""
+    """Return the principal point of a scaled image, px; the image's corner (-0.5, -0.5) is the fixed point."""
     return (center_px[0] + 0.5) * scale_x - 0.5, (center_px[1] + 0.5) * scale_y - 0.5

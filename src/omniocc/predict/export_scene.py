@@ -8,7 +8,7 @@ import torch
 
 from omniocc.data import SceneReader
 from omniocc.data.store.shard import META
-from omniocc.draw.canvas import encoded
+from omniocc.draw.canvas import encode_image
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.predict.input.poses import write_poses
@@ -36,7 +36,7 @@ def export_scene(scene: Path, folder: Path) -> int:
     write_poses(folder / POSES, sequence.frame_names, torch.as_tensor(sequence.world_from_ego))
     for k, frame in enumerate(sequence.frame_names):
         for name, image in zip(sequence.rig.names, sequence.images(k), strict=True):
-            atomic_write(folder / frame / f"{name}.png", encoded(image, "png"))
+            atomic_write(folder / frame / f"{name}.png", encode_image(image, "png"))
     return len(sequence.frame_names)
 
 

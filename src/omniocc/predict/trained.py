@@ -1,4 +1,4 @@
-"""From a checkpoint to what was trained: the network, the data, the task that scores it, predictions for arrays."""
+"""Load a checkpoint: build its network, its data and the task that scores it, and predict from arrays."""
 
 import sys
 from collections.abc import Collection, Sequence
@@ -30,17 +30,17 @@ from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.runs.checkpoint import (
     Checkpoint,
+    apply_overrides,
     check_parts,
     load_checkpoint,
     load_weights,
     part_weights,
-    with_overrides,
 )
 from omniocc.runs.trust import building
 from omniocc.train import OccupancyTask
 from omniocc.train.build import build_task
 
-PLACES = ("root", "cache")
+PLACE_ARGUMENTS = ("root", "cache")
 """Arguments of a data source that name folders or URLs."""
 
 
@@ -49,9 +49,9 @@ class PredictedVoxels(NamedTuple):
 
     Attributes:
         labels: class of every cell, 0 free.
-        grid: of the labels, in the frame of the rig that was given.
-        names: of the classes.
-        colors: RGB of the classes.
+        grid: grid of the labels, in the ego frame of the given rig.
+        names: names of the classes, by id.
+        colors: RGB of the classes, by id.
     """
 
     labels: UInt8[np.ndarray, "X Y Z"]
@@ -64,8 +64,8 @@ class PredictedRanges(NamedTuple):
     """Ranges around a car.
 
     Attributes:
-        range_m: distance along the ray of every pixel, m, nan without an answer.
-        panorama: directions of the pixels.
+        range_m: distance along the ray of every pixel, m; nan where the network does not know it.
+        panorama: camera that gives the direction of every pixel.
     """
 
     range_m: Float32[np.ndarray, "h w"]
@@ -73,34 +73,35 @@ class PredictedRanges(NamedTuple):
 
 
 def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequence[str] = ()) -> "Trained":
-    """Return what was trained in a checkpoint; its parts are built when they are asked for.
+    """Return the content of a checkpoint; its network and data are built when they are first used.
 
     Args:
-        checkpoint: a file, a run's folder (its best checkpoint, else its last), or the name of shipped weights.
-        overrides: of its configuration, `key=value`.
-        packages: whose classes it may name beside those of this platform.
+        checkpoint: a file, the folder of a run (its best checkpoint, else its last), or the name of shipped weights.
+        overrides: changes of its configuration, `key=value`.
+        packages: further packages whose classes it may name.
 
     Raises:
         FileNotFoundError: when there is no such file.
         UserError: when it is damaged or of an older version, or an override has no effect.
     """
     content = load_checkpoint(checkpoint)
-    check_changes(content.path, overrides, ("depth", "data", *OF_TASK))
-    return Trained(content, with_overrides(content.config, overrides), tuple(overrides), tuple(packages))
+    check_overrides(content.path, overrides, ("depth", "data", *OF_TASK))
+    return Trained(content, apply_overrides(content.config, overrides), tuple(overrides), tuple(packages))
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """What a checkpoint holds. Every part of its configuration is checked before anything is built from it.
+    """A checkpoint, whose parts (`depth`, `occupancy`, `task`, `data`) are built when they are first used.
 
-    All parts raise UserError when the checkpoint holds none, when its weights do not fit or are not finite, or when the
-    configuration names classes that are not offered; and ConfigError when it does not fit this version.
+    Each part of the configuration is checked before anything is built from it. A part raises UserError when the
+    checkpoint does not hold it, its weights do not fit or are not finite, or the configuration names classes that are
+    not offered. It raises ConfigError when the configuration does not fit this version.
 
     Attributes:
         checkpoint: content of the file, with the configuration of the training.
         config: that configuration with the overrides, resolved.
-        overrides: `key=value`.
-        packages: whose classes may be built beside those of this platform.
+        overrides: changes of the configuration, `key=value`.
+        packages: further packages whose classes may be built.
     """
 
     checkpoint: Checkpoint
@@ -110,27 +111,27 @@ class Trained:
 
     @property
     def path(self) -> Path:
-        """Return the file."""
+        """Return the file of the checkpoint."""
         return self.checkpoint.path
 
     @property
     def stage(self) -> str:
-        """Return what was trained: `depth`, `sketch` or `occupancy`."""
+        """Return the stage that was trained: `depth`, `sketch` or `occupancy`."""
         return self.checkpoint.stage
 
     @property
     def model(self) -> nn.Module:
-        """Return the occupancy model; of earlier stages the depth network."""
+        """Return the occupancy model, or the depth network if an earlier stage was trained."""
         return self.occupancy if self.stage == OccupancyTask.STAGE else self.depth
 
     @cached_property
     def depth(self) -> nn.Module:
-        """Return the depth network, of any stage, in evaluation mode."""
-        own = part_weights(self.checkpoint, "depth")
+        """Return the depth network in evaluation mode; checkpoints of every stage may hold one."""
+        weights = part_weights(self.checkpoint, "depth")
         self._check("depth")
-        with building(self.path, own):
+        with building(self.path, weights):
             depth = self._parts.depth()
-        return load_weights(depth, own, self.path, "is it a depth network, are overrides needed?").eval()
+        return load_weights(depth, weights, self.path, "is it a depth network, are overrides needed?").eval()
 
     @cached_property
     def occupancy(self) -> OccupancyModel:
@@ -140,17 +141,17 @@ class Trained:
                 f"{self.path} is a checkpoint of the {self.stage} stage; this needs one of the occupancy stage, "
                 "such as runs/<name>-<hash>/best.ckpt"
             )
-        check_changes(self.path, self.overrides)
+        check_overrides(self.path, self.overrides)
         self._check("model")
-        own = self.checkpoint.model_weights
-        with building(self.path, own):
+        weights = self.checkpoint.model_weights
+        with building(self.path, weights):
             model = self._parts.without_pretrained().model()
-        return load_weights(model, own, self.path).eval()
+        return load_weights(model, weights, self.path).eval()
 
     @cached_property
     def task(self) -> OccupancyTask:
         """Return the occupancy model with its losses and scores, in evaluation mode."""
-        model = self.occupancy  # which is built within limits of its own
+        model = self.occupancy  # built first, within limits of its own (`building`)
         self._check(*OF_TASK)
         with building(self.path, self.checkpoint.weights):
             task = build_task(self._parts.without_pretrained(), self.data.spec, model)
@@ -158,10 +159,10 @@ class Trained:
 
     @property
     def data(self) -> OccupancyData:
-        """Return the data of its configuration; nothing is read or made.
+        """Return the data that the configuration names; no scene is read or made yet.
 
         Raises:
-            UserError: also when the file chooses a place for them that it may not choose; see `check_places`.
+            UserError: also when the checkpoint names a place that it may not choose; see `check_places`.
         """
         check_places(self.path, self._data.source, {word.partition("=")[0] for word in self.overrides})
         self._data.check_classes()
@@ -169,39 +170,39 @@ class Trained:
 
     @cached_property
     def facts(self) -> TrainingData:
-        """Return what is known of the training's data, without any of its scenes where the configuration suffices."""
+        """Return facts about the training's data; scenes are read only where the configuration does not suffice."""
         self._data.check_classes()
         return TrainingData.of(self._data, self.config)
 
     def predict(
         self, images: Images | UInt8[np.ndarray, "N H W 3"], rig: Rig | str | Path
     ) -> PredictedVoxels | PredictedRanges:
-        """Return the voxels around a car, or the ranges if only a depth network was trained, from one frame.
+        """Return the voxels around a car from one frame, or the ranges if only earlier stages were trained.
 
-        Images are scaled to about as many pixels as those of the training; all else is as `predict.py` does it. A line
-        on stderr says if the grid moves because the road lies at another height than in the training.
+        Images are scaled to about as many pixels as the images of the training. All else is as in `predict.py`. If the
+        road lies at another height than in the training, the grid moves with it; a line on stderr says so.
 
         Args:
-            images: (H, W, 3) uint8 RGB of every camera, in the rig's order.
+            images: one array (H, W, 3) uint8 RGB of each camera, in the order of the rig.
             rig: the cameras, the name of a built-in rig, or a rig file.
 
         Raises:
             UserError: also when the rig cannot be used, the images do not fit it, or the network returns NaN.
         """
         rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
-        check_images(listed := list(images), rig)
+        check_images(frame := list(images), rig)
         facts, device = self.facts, choose_device(None)
         width, classes = facts.width_for(rig), facts.classes
         if self.stage != OccupancyTask.STAGE:
-            batch, scaled = resized_to_width(listed, rig, width)
+            batch, scaled = resized_to_width(frame, rig, width)
             depth = on_road(predict_depth(self.depth, batch, scaled, device), self.depth, scaled, WITHIN)
             return PredictedRanges(depth.known_range_m()[0].numpy(), cast(Equirectangular, self.depth.panorama))
-        placed, height_m, line = facts.place(rig)
-        if line:
-            print(f"road      {line}", file=sys.stderr, flush=True)
+        placed, raised_m, message = facts.place(rig)
+        if message:
+            print(f"road      {message}", file=sys.stderr, flush=True)
         predictor = Predictor(self.occupancy, width, (), device)
-        found = predictor.step(Input(*predictor.scaled(listed, placed)), Stopwatch(device, STEPS))
-        grid, colors = raise_grid(self.occupancy.geometry, height_m), classes.palette[: classes.num_classes]
+        found = predictor.step(Input(*predictor.scaled(frame, placed)), Stopwatch(device, STEPS))
+        grid, colors = raise_grid(self.occupancy.geometry, raised_m), classes.palette[: classes.num_classes]
         return PredictedVoxels(found.labels.numpy(), grid, classes.names, colors)
 
     @cached_property
@@ -218,13 +219,13 @@ class Trained:
 
 
 def check_images(images: Images, rig: Rig) -> None:
-    """Raise UserError unless each camera has one array (H, W, 3) uint8 of the aspect ratio of its calibration."""
+    """Raise UserError unless each camera has one array (H, W, 3) uint8 in the aspect ratio of its calibration."""
     if len(images) != len(rig.names):
         raise UserError(f"{len(images)} images for {len(rig.names)} cameras; give one each, of {', '.join(rig.names)}")
     for image, name, camera in zip(images, rig.names, rig.cameras, strict=True):
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-            what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise UserError(f"camera '{name}': the image is {what}; give a numpy array (H, W, 3) uint8, RGB")
+            found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise UserError(f"camera '{name}': the image is {found}; give a numpy array (H, W, 3) uint8, RGB")
         try:
             check_aspect((image.shape[1], image.shape[0]), camera, f"camera '{name}'")
         except DataError as error:
@@ -232,37 +233,40 @@ def check_images(images: Images, rig: Rig) -> None:
 
 
 def check_places(path: Path, source: SceneSource, given: Collection[str]) -> None:
-    """Check that a file does not choose where data are fetched from or made, except below the working folder.
+    """Check that a checkpoint fetches and makes data only in places that it may choose.
 
-    Folders that exist are taken as they are, so that runs of this machine find their data again.
+    These are the working folder, with all below it, and folders that already hold such data, so that runs of this
+    machine find their data again.
 
     Args:
         path: of the checkpoint.
-        source: built from its configuration.
-        given: keys that the command line sets, which may be anywhere.
+        source: source of scenes that was built from its configuration.
+        given: keys that the user sets as overrides; their places are not checked.
 
     Raises:
-        UserError: naming the place and the key that allows it.
+        UserError: when another place is chosen; the message names it and the key that allows it.
     """
-    for key in PLACES:
+    for key in PLACE_ARGUMENTS:
         place = getattr(source, key, None)
         if place is None or f"data.source.{key}" in given:
             continue
         inside = not is_url(str(place)) and Path(place).resolve().is_relative_to(Path.cwd())
-        # scenes that are made go into a new folder of root, other sources only read there
-        holds = source.folder if key == "cache" or isinstance(source, MadeScenes) else Path(place)
-        if not inside and (is_url(str(place)) or not holds.exists()):
+        # made scenes are written to a folder of their own below root; other sources only read root
+        holder = source.folder if key == "cache" or isinstance(source, MadeScenes) else Path(place)
+        if not inside and (is_url(str(place)) or not holder.exists()):
             raise UserError(
                 f"{path} names {place} for its data, which is not below this folder and holds no such data; to use "
                 f"it, name it yourself: data.source.{key}={place}"
             )
 
 
-def check_changes(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *OF_TASK)) -> None:
-    """Check that overrides of a checkpoint's configuration have an effect on `parts`, and only the one that is meant.
+def check_overrides(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *OF_TASK)) -> None:
+    """Check that each override of a checkpoint's configuration changes a single key of `parts`.
+
+    Options (`model/sketch=...`), whole parts and the grid of the model cannot be changed.
 
     Raises:
-        UserError: naming the override, and what to do instead.
+        UserError: when an override does something else; the message names it and says what can be changed.
     """
     known = ", ".join(parts)
     for key in (word.partition("=")[0] for word in overrides):

@@ -1,4 +1,4 @@
-"""Read checkpoints, which may come from anybody: they may name options of the slots and nothing else."""
+"""Read and check checkpoints: one from a stranger may name classes that `conf` offers, and no others."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -26,19 +26,20 @@ from omniocc.runs.trust import fault_of, not_offered
 from omniocc.runs.weights import SUFFIX, find_checkpoint, read_weights
 
 STAGE, CONFIG = "stage", "config"
-"""Keys of a checkpoint beside Lightning's own."""
+"""Keys of a checkpoint that this platform adds to those of Lightning."""
 STAGES = ("depth", "sketch", "occupancy")
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-"""Types of weights with fractions; torch does not compute in the others, of 8 bits or fewer."""
+"""Floating-point types that weights may have; torch does not compute in those of 8 bits or fewer."""
 Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
-WORKERS = ("data.num_workers", "data.source.workers")
-"""Numbers of processes, which are those of another machine."""
+"""Prefix of the names of the model's weights in a task."""
+WORKER_KEYS = ("data.num_workers", "data.source.workers")
+"""Keys of numbers of processes, which were chosen for the machine of the training: `load_checkpoint` limits them."""
 PREFIXES = {
     "depth": {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""},
     "sketch": {"occupancy": "sketch.", "sketch": ""},
 }
-"""Prefix of the names of a part's weights, in the model of every stage that holds the part."""
+"""By part and stage: the prefix of the names of the part's weights in the model of that stage."""
 
 
 class Checkpoint(NamedTuple):
@@ -47,9 +48,9 @@ class Checkpoint(NamedTuple):
     Attributes:
         path: the file.
         stage: `depth`, `sketch` or `occupancy`.
-        config: of the run that wrote it, without interpolations.
-        weights: of the whole task, named as in the task.
-        step: optimiser steps that were done; None for a file of weights alone.
+        config: configuration of the run that wrote it, without interpolations.
+        weights: of the whole task, by their names in the task.
+        step: number of optimiser steps done so far; None for a file of weights alone.
     """
 
     path: Path
@@ -60,31 +61,40 @@ class Checkpoint(NamedTuple):
 
     @property
     def model_weights(self) -> dict[str, Tensor]:
-        """Return the weights of the task's model, named as in the model."""
-        return {name.removeprefix(MODEL): value for name, value in self.weights.items() if name.startswith(MODEL)}
+        """Return the weights of the task's model, by their names in the model."""
+        return _below(self.weights, MODEL)
 
 
 def part_weights(trained: Checkpoint, part: str) -> dict[str, Tensor]:
-    """Return the weights of a part (depth, or sketch with its depth) that a checkpoint holds, named as in the part.
+    """Return the weights of a part in a checkpoint, by their names in the part.
+
+    Args:
+        trained: the checkpoint.
+        part: `depth`, or `sketch`, which includes its depth.
 
     Raises:
-        UserError: when it holds none.
+        UserError: when the checkpoint does not hold the part.
     """
-    prefix, named = PREFIXES[part].get(trained.stage, "nothing."), trained.model_weights
-    own = {name.removeprefix(prefix): value for name, value in named.items() if name.startswith(prefix)}
-    if not own:
+    prefix = PREFIXES[part].get(trained.stage)
+    weights = {} if prefix is None else _below(trained.model_weights, prefix)
+    if not weights:
         raise UserError(
             f"{trained.path} holds no {part} network; the stage's own checkpoints are runs/stages/{part}-*/last.ckpt"
         )
-    return own
+    return weights
+
+
+def _below(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the weights whose names begin with a prefix, by their names without it."""
+    return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
 
 
 def load_checkpoint(given: str | Path) -> Checkpoint:
-    """Return the content of a checkpoint, or of a file of weights; see `find_checkpoint`.
+    """Return the content of a checkpoint, or of a file of weights; `find_checkpoint` says what may be given.
 
     Raises:
         FileNotFoundError: when there is no such file.
-        UserError: when it is damaged, not one of this platform, or of an older version.
+        UserError: when the file is damaged, of another program or of an older version, or its configuration is refused.
     """
     path = find_checkpoint(given)
     content = read_weights(path)[0] if path.suffix == SUFFIX else read_checkpoint(path)
@@ -100,34 +110,42 @@ def load_checkpoint(given: str | Path) -> Checkpoint:
         raise UserError(f"{path} is damaged: its number of steps is no whole number")
     if (fault := fault_of(config)) is not None:
         raise UserError(f"{path} cannot be trusted: {fault}")
+    # a file does not choose the packages whose classes are built from it; see `check_parts`
     tree = OmegaConf.create({key: value for key, value in renamed(config).items() if key != "packages"})
-    for key in WORKERS:
+    for key in WORKER_KEYS:
         if isinstance(count := OmegaConf.select(tree, key, throw_on_missing=False), int):
             OmegaConf.update(tree, key, min(count, usable_cores()))
     return Checkpoint(path, stage, tree, weights, step)
 
 
 def _is_weight(name: object, value: object) -> bool:
-    """Return whether an entry of a file is a name and a tensor of numbers in memory that a network can have."""
+    """Return whether an entry is a name and a tensor that a network can have: dense, on the CPU, of real numbers."""
     if not isinstance(name, str) or not isinstance(value, Tensor):
         return False
     whole = not (value.is_floating_point() or value.is_complex() or value.is_quantized)
-    real = value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
-    return real and value.nbytes <= value.untyped_storage().nbytes()  # else it repeats few numbers, in any size
+    usable = value.layout == torch.strided and value.device.type == "cpu" and (whole or value.dtype in FLOATS)
+    # a tensor larger than its storage repeats numbers (stride 0): a small file could claim any size
+    return usable and value.nbytes <= value.untyped_storage().nbytes()
 
 
 def load_weights(
     network: Network, weights: Mapping[str, Tensor], path: Path, question: str = "was it written by another version?"
 ) -> Network:
-    """Load the weights of the checkpoint at `path` into a network, and return it.
+    """Load weights into a network, and return the network.
+
+    Args:
+        network: is changed.
+        weights: by their names in the network.
+        path: file of the weights, which errors name.
+        question: possible cause, which ends the message about weights that do not fit.
 
     Raises:
-        UserError: when they do not fit (the line ends with the question) or are not finite.
+        UserError: when the weights do not fit or are not finite.
     """
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:
-        first = str(error).splitlines()[1:2] or [str(error)]
+        first = str(error).splitlines()[1:2] or [str(error)]  # torch names the network, then one fault a line
         raise UserError(f"{path}: its weights do not fit: {shortened(first[0].strip(), 300)}; {question}") from error
     if not all(bool(value.isfinite().all()) for value in weights.values()):
         raise UserError(f"{path} holds weights that are not finite (NaN): its training failed, use another checkpoint")
@@ -135,14 +153,20 @@ def load_weights(
 
 
 def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: Sequence[str] = ()) -> None:
-    """Check root keys (`parts`) of a checkpoint's configuration, with overrides, before anything is built from them.
+    """Check parts of a checkpoint's configuration, before anything is built from them.
 
-    Each class has to be one that `conf` offers for its place (`omniocc.runs.trust`). Classes of further `packages`
-    may be built; these are never taken from the checkpoint itself.
+    Each class must be one that `conf` offers for its place (`omniocc.runs.trust`), or be in one of
+    `packages` or of the packages that `OMNIOCC_PACKAGES` names.
+
+    Args:
+        path: of the checkpoint, which errors name.
+        config: of the checkpoint, with overrides.
+        parts: root keys to check.
+        packages: further packages whose classes may be built, chosen by the user and never by the checkpoint.
 
     Raises:
-        UserError: when they name classes of other packages, or classes that are not offered at their place.
-        ConfigError: when they do not fit this version.
+        UserError: when a part names a class of another package, or one that is not offered for its place.
+        ConfigError: when a part does not fit this version.
     """
     nodes = {part: config.get(part) for part in parts}
     if wrong := [part for part, node in nodes.items() if not isinstance(node, DictConfig) or "_target_" not in node]:
@@ -152,7 +176,8 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
     tree = plain(chosen)
     if foreign := foreign_packages(tree, trusted):
         names = ",".join(foreign)
-        if any(name in sys.stdlib_module_names for name in foreign):  # which nobody allows for a model of theirs
+        # the standard library holds nobody's model, so the message does not suggest to allow it
+        if any(name in sys.stdlib_module_names for name in foreign):
             raise UserError(f"{path} cannot be trusted: it names classes of {names}")
         raise UserError(
             f"{path} names classes of {names}, not of this platform; if you trust them, "
@@ -163,12 +188,12 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
     try:
         check(chosen, packages=trusted)
     except ConfigError as error:
-        if "evidence_in_volume" in chosen.get("model", ()):  # a key that the slot `hints` replaced
+        if "evidence_in_volume" in chosen.get("model", ()):  # key of older versions; now the slot `hints`
             raise UserError(f"{path} is of an older version: its model has no hints; train again") from error
         raise ConfigError(error.problems, path) from error
 
 
-def with_overrides(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Return the configuration of a checkpoint with changes (`key=value`) from the command line, resolved."""
+def apply_overrides(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """Return a checkpoint's configuration with overrides (`key=value`) applied and interpolations resolved."""
     merged = OmegaConf.merge(config, OmegaConf.from_dotlist(list(overrides)))
     return OmegaConf.create(OmegaConf.to_container(merged, resolve=True))  # type: ignore[return-value]

@@ -19,7 +19,7 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.runs.checkpoint_io import LAST, no_checkpoint_message, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
-from omniocc.runs.slots import foreign_packages, own_code, sketch_learns
+from omniocc.runs.slots import foreign_code, foreign_packages, sketch_learns
 from omniocc.runs.weights import find_checkpoint
 
 METRICS = "metrics.json"
@@ -80,7 +80,7 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
     stages = config["stages"] if sketch_learns(config) else (LAST_STAGE,)
     kept["stages"] = with_digests(config["stages"], stages)
-    return short_hash([kept, data_fingerprint, *own_code(kept)])
+    return short_hash([kept, data_fingerprint, *foreign_code(kept)])
 
 
 def without_machine(tree: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The option in each slot of a model, whether there are stages before occupancy, and whose classes are named."""
+"""Read a configuration: the option in each slot of a model, which slots learn, and which packages it names."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from omniocc.model.protocols import learns
 
 
 def sketch_learns(config: Mapping[Any, Any]) -> bool:
-    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy."""
+    """Return whether the sketch is trained: in its own stage before occupancy, on ranges of the depth option."""
     return learns(target_of(config["model"]["sketch"]))
 
 
@@ -19,15 +19,16 @@ def depth_learns(config: Mapping[Any, Any]) -> bool:
 
 
 def uses_evidence(config: Mapping[Any, Any]) -> bool:
-    """Return whether the hints hand the sketch's evidence on, which its stage then stores."""
+    """Return whether any hint of the model is on; hints are made from the sketch's evidence, which is then stored."""
     hints = config["model"]["hints"]
     return any(hints[part] for part in ("queries", "volume", "logits"))
 
 
 def option_of(node: Mapping[Any, Any]) -> str:
-    """Return the option of a node: the name of the file that its class is in, as in `conf/`.
+    """Return the option that a node of a configuration chooses, by its name in `conf/`.
 
-    Of a class of another package, whose files may have any names, it is the name of the class.
+    It is the name of the module that holds the class. In other packages modules may have any names, so there it is the
+    name of the class.
     """
     target = target_of(node)
     return (
@@ -36,7 +37,7 @@ def option_of(node: Mapping[Any, Any]) -> str:
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns."""
+    """Return the option in every slot, such as `sketch: omni`; the slot `depth` is included if the sketch learns."""
     nodes = {slot: node for slot, node in config["model"].items() if isinstance(node, Mapping) and "_target_" in node}
     if sketch_learns(config):
         nodes["depth"] = config["depth"]
@@ -44,27 +45,27 @@ def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
 
 
 def slots_line(config: Mapping[str, Any]) -> str:
-    """Return the options of all slots and the voxels: `geometry=cylinder, sketch=omni; 64x100x8 voxels`."""
-    slots = ", ".join(f"{slot}={option}" for slot, option in slots_of(config).items())
-    return f"{slots}; {'x'.join(map(str, config['model']['geometry']['shape']))} voxels"
+    """Return a line with all options and the grid's shape: `geometry=cylinder, sketch=omni; 64x100x8 voxels`."""
+    options = ", ".join(f"{slot}={option}" for slot, option in slots_of(config).items())
+    return f"{options}; {'x'.join(map(str, config['model']['geometry']['shape']))} voxels"
 
 
 def foreign_packages(tree: Any, packages: Sequence[str]) -> list[str]:
-    """Return, sorted, the packages of the classes in a plain tree that are not among `packages`."""
-    return sorted({name.split(".")[0] for name in classes_in(tree)} - set(packages))
+    """Return the packages, sorted, whose classes a plain tree names, without those in `packages`."""
+    return sorted({name.split(".")[0] for name in targets_in(tree)} - set(packages))
 
 
-def own_code(tree: Any) -> list[str]:
-    """Return a hash of the code of the classes in a plain tree that are of other packages; an empty list without any.
+def foreign_code(tree: Any) -> list[str]:
+    """Return one hash (`omniocc.code.code_of_classes`) of the code of a plain tree's classes beyond `PACKAGES`.
 
-    See `omniocc.code.code_of_classes`. A list, to be added to what is hashed.
+    It is the only item of a list, which is empty without such classes, so that hashes without them stay the same.
     """
-    code = code_of_classes(name for name in classes_in(tree) if name.split(".")[0] not in PACKAGES)
+    code = code_of_classes(name for name in targets_in(tree) if name.split(".")[0] not in PACKAGES)
     return [code] if code else []
 
 
-def classes_in(tree: Any) -> set[str]:
-    """Return the names of the classes (`_target_`) in a plain tree."""
+def targets_in(tree: Any) -> set[str]:
+    """Return the full names of the classes (`_target_`) in a plain tree."""
     children = tree.values() if isinstance(tree, Mapping) else tree if isinstance(tree, list) else ()
-    found = {name for child in children for name in classes_in(child)}
+    found = {name for child in children for name in targets_in(child)}
     return found | ({str(tree["_target_"])} if isinstance(tree, Mapping) and "_target_" in tree else set())

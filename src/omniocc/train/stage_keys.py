@@ -9,7 +9,7 @@ from omniocc.config import plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
 from omniocc.runs.folder import OF_MACHINES, short_hash, with_digests
-from omniocc.runs.slots import depth_learns, own_code, sketch_learns
+from omniocc.runs.slots import depth_learns, foreign_code, sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
@@ -71,21 +71,23 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     depth_key = short_hash(
         [
             *(VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint, *appearance),
-            *own_code([config["depth"], stages["depth"], *appearance]),
+            *foreign_code([config["depth"], stages["depth"], *appearance]),
         ]
     )
     network = _without(sketch, selection)
     labels = config["data"]["ignore"]
-    code = own_code([network, stages["sketch"]])
+    code = foreign_code([network, stages["sketch"]])
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
     arguments = {name: sketch[name] for name in selection}
     candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])
     ranges = sketched = candidates = None
     if _used_as_it_is(stages["depth"]) or not depth_learns(config):
         weights = stages["depth"].get("weights")
-        ranges = short_hash([VERSIONS["depth"], config["depth"], weights, *own_code(config["depth"])])
+        ranges = short_hash([VERSIONS["depth"], config["depth"], weights, *foreign_code(config["depth"])])
     if ranges and _used_as_it_is(stages["sketch"]):
-        sketched = short_hash([VERSIONS["sketch"], ranges, network, stages["sketch"]["weights"], *own_code(network)])
+        sketched = short_hash(
+            [VERSIONS["sketch"], ranges, network, stages["sketch"]["weights"], *foreign_code(network)]
+        )
         candidates = short_hash([VERSIONS["candidates"], sketched, arguments])
     return Keys(depth_key, sketch_key, candidates_key, ranges, sketched, candidates)
 

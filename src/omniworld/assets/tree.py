@@ -1,4 +1,4 @@
-"""Trees and bushes; their leaves get a colour when they are planted."""
+"""Trees and bushes, in metres, on the ground z = 0; their leaves get one of `LEAF_COLORS` when they are planted."""
 
 from collections.abc import Callable
 
@@ -23,7 +23,7 @@ LEAF_COLORS: tuple[Color, ...] = (
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:
-    """Build a broad crown of several lumps over a trunk."""
+    """Build a trunk with a broad crown of several lumps."""
     height, crown = rng.uniform(6.5, 10), rng.uniform(1.5, 2.3)
     stem = rng.uniform(2.3, 3.2)
     parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 5, _BARK)]
@@ -37,14 +37,14 @@ def round_tree(rng: np.random.Generator) -> Mesh:
 
 
 def tall_tree(rng: np.random.Generator) -> Mesh:
-    """Build a slender upright crown, as of a poplar."""
+    """Build a trunk with a slender upright crown, such as a poplar has."""
     height, crown, stem = rng.uniform(8, 13), rng.uniform(1.0, 1.6), rng.uniform(2.2, 2.8)
     trunk = lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK)
     return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.2, sides=7, rows=6)])
 
 
 def conifer(rng: np.random.Generator) -> Mesh:
-    """Build whorls of drooping branches, narrower upwards."""
+    """Build a trunk with four or five tiers of drooping branches, which get narrower upwards."""
     height, skirt = rng.uniform(6, 12), rng.uniform(1.6, 2.5)
     tiers = int(rng.integers(4, 6))
     parts = [lathe([0.2, 0.14], [-0.3, 1.6], 6, _BARK)]
@@ -68,7 +68,7 @@ def birch(rng: np.random.Generator) -> Mesh:
 
 
 def young_tree(rng: np.random.Generator) -> Mesh:
-    """Build a thin stem on a stake with one small crown, as planted along streets."""
+    """Build a thin stem beside a stake with one small crown, as cities plant them along streets."""
     crown = rng.uniform(0.7, 1.1)
     height = rng.uniform(2.1, 2.6) + 2.3 * crown
     stake = lathe([0.04, 0.04, 0], [-0.2, 1.6, 1.6], 5, _BARK, (0.25, 0.0))
@@ -93,12 +93,13 @@ def distant(rng: np.random.Generator) -> Mesh:
     return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.3, sides=6, rows=4)])
 
 
+# the point at a distance and an angle around the stem; a docstring here would change `world_code`
 def _around(radius_m: Number, angle_rad: Number, z_m: Number) -> Triple:
     return float(radius_m * np.cos(angle_rad)), float(radius_m * np.sin(angle_rad)), float(z_m)
 
 
 def _crown(height_m: Number, radius_m: Number, stem_m: Number) -> tuple[Triple, Triple]:
-    """Return radii and centre of an upright crown above the stem."""
+    """Return the radii and the centre of an ellipsoid from the top of a bare stem up to the height of the tree."""
     return (radius_m, radius_m, (height_m - stem_m) / 2), (0, 0, (height_m + stem_m) / 2)
 
 

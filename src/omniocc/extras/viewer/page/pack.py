@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float64, Int16
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, ClassTable
 from omniocc.draw.bev import ERRORS
-from omniocc.draw.canvas import Rgb, encoded, fitted
+from omniocc.draw.canvas import Rgb, encode_image, fitted
 from omniocc.draw.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
 from omniocc.draw.sheet import HEXAGON_ORDER
 from omniocc.draw.voxels import CAR_BOXES
@@ -187,7 +187,7 @@ class Packed:
         return self._encoded(smaller, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, IMAGE_QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
     def _encoded(self, image: np.ndarray, kind: str, options: list[int]) -> dict[str, str]:
-        return {"format": kind, "block": self._block(encoded(image, kind, options))}
+        return {"format": kind, "block": self._block(encode_image(image, kind, options))}
 
     def _bytes(self, array: np.ndarray) -> str:
         """Add the bytes of an array, compressed."""
