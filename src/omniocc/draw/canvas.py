@@ -68,18 +68,18 @@ def text_width(text: str, height_px: int) -> int:
     return cv2.getTextSize(text, FONT, _scale(height_px), 1)[0][0]
 
 
-def write_text(canvas: np.ndarray, text: str, left: int, baseline: int, height_px: int, rgb: Rgb = INK) -> None:
+def draw_text(canvas: np.ndarray, text: str, left: int, baseline: int, height_px: int, rgb: Rgb = INK) -> None:
     """Write a line of text on `canvas`; capital letters stand on the row `baseline` and are `height_px` high."""
     cv2.putText(canvas, text, (left, baseline), FONT, _scale(height_px), rgb, thickness=1, lineType=cv2.LINE_AA)
 
 
-def write_on_plate(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10) -> None:
+def draw_label(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10) -> None:
     """Write white text on a dark translucent plate, whose upper left corner is (left, top) on `canvas`."""
     pad = height_px * 2 // 3
     right, bottom = left + text_width(text, height_px) + 2 * pad, top + height_px + 2 * pad
     plate = canvas[top:bottom, left:right]
     plate[:] = (0.35 * plate + 0.65 * np.array([25, 28, 34])).astype(np.uint8)
-    write_text(canvas, text, left + pad, top + pad + height_px, height_px, (255, 255, 255))
+    draw_text(canvas, text, left + pad, top + pad + height_px, height_px, (255, 255, 255))
 
 
 def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> np.ndarray:
@@ -98,7 +98,7 @@ def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> n
             top = number * line_height + (line_height - height_px) // 2
             cv2.rectangle(canvas, (start, top - 1), (start + swatch_width - 1, top + height_px), rgb, -1)
             cv2.rectangle(canvas, (start, top - 1), (start + swatch_width - 1, top + height_px), (190, 190, 190), 1)
-            write_text(canvas, name, start + swatch_width + height_px // 2, top + height_px, height_px)
+            draw_text(canvas, name, start + swatch_width + height_px // 2, top + height_px, height_px)
     return canvas
 
 

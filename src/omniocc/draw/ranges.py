@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from omniocc.draw.canvas import Rgb, blank, text_width, write_text
+from omniocc.draw.canvas import Rgb, blank, draw_text, text_width
 
 NEAR_M, FAR_M = 1.0, 64.0
 SKY: Rgb = (225, 233, 242)
@@ -83,5 +83,5 @@ def _bar(colors: np.ndarray, places: Sequence[float], texts: Sequence[str]) -> n
         at = min(round(place * width), width - 1)
         canvas[thick : thick + 5, max(at - 1, 0) : at + 1] = 90
         left = min(max(at - text_width(text, height_px) // 2, 0), width - text_width(text, height_px) - 1)
-        write_text(canvas, text, left, thick + 8 + height_px, height_px)
+        draw_text(canvas, text, left, thick + 8 + height_px, height_px)
     return canvas

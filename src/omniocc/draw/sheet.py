@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from omniocc.draw.canvas import Images, blank, fitted, paste, write_on_plate, write_text
+from omniocc.draw.canvas import Images, blank, draw_label, draw_text, fitted, paste
 
 NAMES = ("front", "front right", "rear right", "rear", "rear left", "front left")
 HEXAGON_ORDER = (5, 0, 1, 4, 3, 2)
@@ -44,7 +44,7 @@ def row(images: Images, names: Sequence[str], width: int) -> np.ndarray:
 def tagged(image: np.ndarray, name: str) -> np.ndarray:
     """Return a copy of an image with its name on it."""
     image = image.copy()
-    write_on_plate(image, name, 8, 8)
+    draw_label(image, name, 8, 8)
     return image
 
 
@@ -77,7 +77,7 @@ def stack(rows: Images, width_px: int, caption: str = "") -> np.ndarray:
     """Return rows below one another and below a caption, if it is not empty, with margins around them."""
     if caption:
         line = blank(inner_width(width_px), 24)
-        write_text(line, caption, 0, 17, 12)
+        draw_text(line, caption, 0, 17, 12)
         rows = [line, *rows]
     inner = below(rows, inner_width(width_px))
     canvas = blank(width_px, len(inner) + 2 * MARGIN)
