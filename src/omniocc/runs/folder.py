@@ -76,9 +76,10 @@ class RunFolder:
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
-    unused = () if sketch_learns(config) else ("depth", "appearance")
+    learns = sketch_learns(config)
+    unused = () if learns else ("depth", "appearance")
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
-    stages = config["stages"] if sketch_learns(config) else (LAST_STAGE,)
+    stages = config["stages"] if learns else (LAST_STAGE,)
     kept["stages"] = with_digests(config["stages"], stages)
     return short_hash([kept, data_fingerprint, *foreign_code(kept)])
 

@@ -25,6 +25,7 @@ CLASSES = {f"{old}.{name}": f"{new}.{name}" for old, (new, names) in MOVED.items
 """New names of classes by their old ones."""
 PACKAGES = {"task": "train", "run": "runs"}
 """New names of packages of `omniocc` by their old ones."""
+OLD_PACKAGE = re.compile(rf"^omniocc\.({'|'.join(PACKAGES)})\.")
 KEYS = {
     "behind_m": "dilation_behind_m",
     "frames_together": "samples_per_scene",
@@ -43,7 +44,7 @@ def renamed(tree: Any) -> Any:
 
 def _entry(key: Any, value: Any) -> tuple[Any, Any]:
     if key == "_target_" and isinstance(value, str):
-        value = re.sub(r"^omniocc\.(task|run)\.", lambda found: f"omniocc.{PACKAGES[found[1]]}.", value)
+        value = OLD_PACKAGE.sub(lambda found: f"omniocc.{PACKAGES[found[1]]}.", value)
         return key, CLASSES.get(value, value)
     if key == "unknown" and value in ("free", "unobserved", "unseen"):
         return "ignore", "none" if value == "free" else value

@@ -147,7 +147,7 @@ class Stage(ABC):
                     task.model.load_state_dict(load_checkpoint(place.folder / LAST).model_weights)
                 else:
                     self.train(task, place, title)
-                if leaves is not None and missing:
+                if leaves and missing:
                     device = self.parts.trainer().strategy.root_device
                     leaves.fill(missing, task, device, self.data.num_workers, title)
         barrier()

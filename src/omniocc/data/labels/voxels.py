@@ -22,7 +22,7 @@ from omniocc.data.labels.counts import Frames, all_frames, count_classes, kept_c
 from omniocc.data.source import Ignore, LidarScan, SceneFrames
 from omniocc.data.store.codec import STEPS_PER_M, decompress
 from omniocc.data.store.folder import SceneFolder
-from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
+from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
 from omniocc.parallel import Report, make_scenes
@@ -172,7 +172,7 @@ class VoxelCache:
 
     def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
         scene = scenes[folder.name]
-        with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
+        with closing(SceneWriter(folder)) as writer:
             if writer.finished:
                 report(len(scene))
                 return

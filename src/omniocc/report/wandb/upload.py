@@ -120,9 +120,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")
     options = parser.parse_args(arguments)
     log_report(options.runs / "report", options.project)
-    files = [
-        path for path in pending_runs(options.runs) if whole_bytes(path.read_bytes())
-    ]  # killed at once: nothing in it
+    # the file of a run that was killed at once holds nothing whole
+    files = [path for path in pending_runs(options.runs) if whole_bytes(path.read_bytes())]
     if not files:
         print(f"{options.runs}: nothing waits for upload")
         return
