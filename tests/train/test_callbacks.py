@@ -122,22 +122,33 @@ class Killed(Callback):
             raise KeyboardInterrupt
 
 
-def fit(folder: Path, *callbacks: Callback) -> Scored:
-    model, last = Scored(), folder / "last.ckpt"
-    best = ModelCheckpoint(folder, "best", monitor="score", mode="max", enable_version_counter=False)
-    trainer = Trainer(
-        max_steps=8,
-        default_root_dir=str(folder),
-        callbacks=[best, LastCheckpoint(last, 1), *callbacks],
+def quiet_trainer(*callbacks: Callback, **options) -> Trainer:
+    return Trainer(
+        callbacks=list(callbacks),
         logger=False,
         enable_progress_bar=False,
         enable_model_summary=False,
-        limit_val_batches=1,
-        val_check_interval=2,
+        accelerator="cpu",
+        **{"limit_val_batches": 1, **options},
+    )
+
+
+def eight_steps(folder: Path, validate_every: int, *callbacks: Callback) -> Trainer:
+    """Return a quiet trainer of eight steps, which validates one batch after every so many."""
+    return quiet_trainer(
+        *callbacks,
+        max_steps=8,
+        default_root_dir=str(folder),
+        val_check_interval=validate_every,
         check_val_every_n_epoch=None,
         num_sanity_val_steps=0,
-        accelerator="cpu",
     )
+
+
+def fit(folder: Path, *callbacks: Callback) -> Scored:
+    model, last = Scored(), folder / "last.ckpt"
+    best = ModelCheckpoint(folder, "best", monitor="score", mode="max", enable_version_counter=False)
+    trainer = eight_steps(folder, 2, best, LastCheckpoint(last, 1), *callbacks)
     try:
         trainer.fit(model, ckpt_path=str(last) if last.exists() else None)
     except (KeyboardInterrupt, SystemExit):
@@ -185,17 +196,6 @@ def test_validations_outside_of_the_training_save_nothing(tmp_path):
     assert not last.exists()
 
 
-def quiet_trainer(*callbacks: Callback, **options) -> Trainer:
-    return Trainer(
-        callbacks=list(callbacks),
-        logger=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        accelerator="cpu",
-        **{"limit_val_batches": 1, **options},
-    )
-
-
 @pytest.mark.parametrize(
     ("every", "epoch", "batch", "follows"),
     [(1, 0, 9, True), (1, 0, 8, False), (2, 0, 9, False), (2, 1, 9, True), (2, 1, 10, False)],
@@ -229,16 +229,8 @@ class SignalInValidation(Callback):
 
 
 def trainer_of(folder: Path, *callbacks: Callback) -> Trainer:
-    return Trainer(
-        max_steps=8,
-        default_root_dir=str(folder),
-        callbacks=[StopAtSignal(folder / "last.ckpt"), *callbacks],
-        logger=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        limit_val_batches=0,
-        accelerator="cpu",
-    )
+    stop = StopAtSignal(folder / "last.ckpt")
+    return quiet_trainer(stop, *callbacks, max_steps=8, default_root_dir=str(folder), limit_val_batches=0)
 
 
 @pytest.mark.parametrize(("number", "name"), [(STOP, "SIGUSR2"), (signal.SIGTERM, "SIGTERM")])
@@ -274,19 +266,8 @@ def test_a_training_that_is_ended_between_steps_does_not_pass_for_finished(tmp_p
 @pytest.mark.parametrize("number", [STOP, signal.SIGTERM])
 def test_a_stop_waits_for_the_validation_of_its_step(tmp_path, number):
     validated = []
-    trainer = Trainer(
-        max_steps=8,
-        default_root_dir=str(tmp_path),
-        callbacks=[Validated(validated), SignalAt(3, number), StopAtSignal(tmp_path / "last.ckpt")],
-        logger=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        limit_val_batches=1,
-        val_check_interval=4,
-        check_val_every_n_epoch=None,
-        num_sanity_val_steps=0,
-        accelerator="cpu",
-    )
+    stop = StopAtSignal(tmp_path / "last.ckpt")
+    trainer = eight_steps(tmp_path, 4, Validated(validated), SignalAt(3, number), stop)
     with pytest.raises(SystemExit, match="at step 4"):
         trainer.fit(BoringModel())
     assert validated == [4]
