@@ -28,6 +28,7 @@ def address(tmp_path, monkeypatch):
         monkeypatch.setenv(f"WANDB_{name}", str(tmp_path / "wandb" / name))
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     monkeypatch.setenv("WANDB_API_KEY", API_KEY)
+    monkeypatch.delenv("WANDB_MODE", raising=False)  # Lightning leaves it set after an offline run of an earlier test
     monkeypatch.setenv("WANDB_SILENT", "false")  # `Loggers` sets it unless it is set
     monkeypatch.chdir(tmp_path)  # `wandb sync` writes its own log here
 
