@@ -80,8 +80,8 @@ def _is_fisheye(content: dict[str, Any], count: int) -> bool:
 def read_kalibr(content: dict[str, Any]) -> Calibration:
     """Return cameras cam0, cam1, ... with the poses of their chain `T_cn_cnm1`.
 
-    The file has no vehicle frame: forward of the ego frame is that of cam0, taken as level, and its origin is the mean
-    position of the cameras.
+    The file has no vehicle frame. The ego frame looks forward as cam0 does, which is taken as level, and its origin is
+    the mean position of the cameras.
 
     Raises:
         ValueError: naming the camera and the key.

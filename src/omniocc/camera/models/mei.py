@@ -108,7 +108,7 @@ class MEI(FocalCamera):
                 step = self._newton_step(plane, self._distorted(plane) - distorted)
                 plane = (plane - step).clamp(-2 * limit, 2 * limit)
             reached = self._distorted(plane)
-            # float arithmetic of the distortion rounds several times, in proportion to the radius
+            # the distortion rounds several times, and each rounding error grows with the radius
             tolerance = 256 * torch.finfo(distorted.dtype).eps * (1 + radius)
             converged = (reached - distorted).abs().amax(-1) <= tolerance
         distorted = torch.where(converged[..., None], distorted, reached)
