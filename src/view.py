@@ -9,7 +9,7 @@ from omniocc.runs.script import quiet_libraries, script
 
 @script("view")
 def main(cfg: DictConfig) -> None:
-    """Show what the options choose in the Rerun viewer, a file or a page."""
+    """Show scenes, predictions or runs, in the Rerun viewer, a file or a page; see `conf/view.yaml`."""
     quiet_libraries()
     view(*options_of(cfg))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evaluate import main, parser_of
-from omniocc.evaluate import Evaluation, folder_of
+from omniocc.evaluate import Evaluation, results_folder
 from omniocc.runs.weights import SHIPPED
 
 
@@ -31,10 +31,10 @@ def test_help_lists_the_kinds_of_disturbances():
 
 def test_results_are_beside_the_checkpoint_or_in_the_folder_that_is_named():
     best = Path("runs/ours-1/best.ckpt")
-    assert folder_of(best, "evaluation-best", None, True) == Path("runs/ours-1/evaluation-best")
-    assert folder_of(SHIPPED / "tiny.safetensors", "evaluation-tiny", None, False) == Path("runs/evaluation-tiny")
-    assert folder_of(best, "evaluation-best", Path("out"), False) == Path("out")
-    assert folder_of(best, "evaluation-best", Path("out"), True) == Path("out/ours-1/evaluation-best")
+    assert results_folder(best, "evaluation-best", None, True) == Path("runs/ours-1/evaluation-best")
+    assert results_folder(SHIPPED / "tiny.safetensors", "evaluation-tiny", None, False) == Path("runs/evaluation-tiny")
+    assert results_folder(best, "evaluation-best", Path("out"), False) == Path("out")
+    assert results_folder(best, "evaluation-best", Path("out"), True) == Path("out/ours-1/evaluation-best")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from omniocc.data import SceneReader
 from omniocc.data.source.recorded import Recorded
 from omniocc.data.store.files import Files, list_folders, read_json
 from omniocc.errors import UserError
-from omniocc.urls import check_url, credentials_problem, redacted
+from omniocc.urls import check_url, credentials_problem, redact
 
 ROOT = Path(__file__).parents[1]
 SECRETS = {
@@ -54,7 +54,7 @@ PLAIN = (
 
 @pytest.mark.parametrize("url", SECRETS)
 def test_secrets_are_hidden(url):
-    assert redacted(url) == SECRETS[url]
+    assert redact(url) == SECRETS[url]
     problem = credentials_problem(f"key={url}")
     assert problem is not None
     assert "s3cret" not in problem
@@ -63,7 +63,7 @@ def test_secrets_are_hidden(url):
 
 @pytest.mark.parametrize("text", PLAIN)
 def test_other_texts_stay_as_they_are(text):
-    assert redacted(text) == text
+    assert redact(text) == text
     assert credentials_problem(text) is None
 
 

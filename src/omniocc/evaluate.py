@@ -1,4 +1,4 @@
-"""Score checkpoints or the predictions of others again: what `src/evaluate.py` does with its words."""
+"""Score checkpoints, or files of predictions, on test scenes: the work of `src/evaluate.py`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -27,13 +27,19 @@ from omniocc.train.submission import score_files
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What is scored, and how; see `python src/evaluate.py --help`.
+    """Choice of what is scored and how; see `python src/evaluate.py --help`.
 
     Attributes:
-        checkpoints: files, those of shipped names included.
-        overrides: of the configuration of the checkpoints.
-        predictions: folder of files to be scored; None: checkpoints are tested.
-        robustness: `all`, or names of parts; None: no robustness test.
+        checkpoints: files of checkpoints or of shipped weights.
+        overrides: `key=value` changes to the configuration of the checkpoints.
+        predictions: folder of prediction files to be scored; None: the checkpoints are scored.
+        robustness: `all`, or names of parts of the robustness test; None: no robustness test.
+        output: folder of results; None: beside the checkpoint or the predictions.
+        origins: where the rays of RayIoU start.
+        images: number of test frames to draw.
+        audit: whether to print only where the score is lost.
+        scenes: number of test scenes of the robustness test.
+        seed: random seed of the robustness test.
     """
 
     checkpoints: Sequence[Path]
@@ -49,7 +55,8 @@ class Evaluation:
 
     @classmethod
     def from_words(cls, words: Sequence[str], **options: Any) -> "Evaluation":
-        """Return the words of the command line by their meaning; what is a file or has no `=` is a checkpoint."""
+        """Parse the words of the command line: files and words without `=` are checkpoints, others settings."""
+        # the path of a checkpoint may hold '=': epoch=1-step=2.ckpt
         files = [word for word in words if "=" not in word or Path(word).is_file()]
         settings = {key: value for key, _, value in (word.partition("=") for word in words if word not in files)}
         predictions, robustness = settings.pop("predictions", None), settings.pop("robustness", None)
@@ -63,7 +70,7 @@ class Evaluation:
 
     @property
     def conflict(self) -> str | None:
-        """Return why the words do not go together, None if they do."""
+        """Return an error message if options contradict each other, None otherwise."""
         if self.predictions is not None and (self.checkpoints or self.robustness is not None or self.audit):
             return "predictions=... scores files alone: leave checkpoints, robustness=... and --audit out"
         if self.robustness is not None and (self.audit or self.origins != "own"):
@@ -72,26 +79,26 @@ class Evaluation:
 
     @property
     def suffix(self) -> str:
-        """Return the end of a default folder of results, so that those from other origins stand beside the others."""
+        """Return the end of the default folder name, so that results from other origins do not replace the own ones."""
         return "" if self.origins == "own" else f"-{self.origins}"
 
     def run(self) -> None:
-        """Score what is asked for; a checkpoint that cannot be scored is told after the others are.
+        """Score the predictions or every checkpoint; errors of single checkpoints are raised after the last one.
 
         Raises:
-            UserError, DataError: naming what cannot be scored.
+            UserError, DataError: with the checkpoints or files that cannot be scored.
         """
         if self.predictions is not None:
             return score_predictions(self)
         if not self.checkpoints:
             raise UserError("name a checkpoint, a shipped file of weights, or predictions=folder")
-        return each(self.checkpoints, self._score)
+        return score_each(self.checkpoints, self._score)
 
     def _score(self, checkpoint: Path) -> None:
         several = len(self.checkpoints) > 1
         if several:
-            print(f"\nsystem    {system_of(checkpoint)}", flush=True)
-        trained = opened(checkpoint, self.overrides)
+            print(f"\nsystem    {system_name(checkpoint)}", flush=True)
+        trained = load_with_overrides(checkpoint, self.overrides)
         if takes_true_range(trained.occupancy.sketch):
             raise UserError(
                 f"{checkpoint} takes recorded ranges (model/depth=truth), which only train.py hands to it: its test is "
@@ -101,31 +108,31 @@ class Evaluation:
             for name, value in audit(trained.task, trained.data):
                 print(f"{name:58} {value}")
         else:
-            folder = folder_of(checkpoint, f"{EVALUATION}{checkpoint.stem}{self.suffix}", self.output, several)
-            test_again(trained, folder, self)
+            folder = results_folder(checkpoint, f"{EVALUATION}{checkpoint.stem}{self.suffix}", self.output, several)
+            score_checkpoint(trained, folder, self)
 
 
-def opened(checkpoint: Path, overrides: Sequence[str]) -> Trained:
-    """Return a checkpoint with overrides, of which `packages=[...]` allows classes of other packages."""
+def load_with_overrides(checkpoint: Path, overrides: Sequence[str]) -> Trained:
+    """Load a checkpoint with overrides; `packages=[...]` among them allows classes of other packages."""
     packages = [word for word in overrides if word.startswith("packages=")]
     changes = [word for word in overrides if word not in packages]
     return load(checkpoint, changes, OmegaConf.from_dotlist(packages).get("packages", ()))
 
 
-def each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> None:
-    """Score one checkpoint after the other; raise UserError with all different messages at the end."""
-    refused = []
+def score_each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> None:
+    """Score the checkpoints in turn; raise one UserError at the end with the messages of all that failed."""
+    messages = []
     for checkpoint in checkpoints:
         try:
             score(checkpoint)
-        except (UserError, OSError) as error:  # the others come first
-            refused.append(str(error))
-    if refused:
-        raise UserError("\n".join(dict.fromkeys(refused)))
+        except (UserError, OSError) as error:  # the other checkpoints are scored first
+            messages.append(str(error))
+    if messages:
+        raise UserError("\n".join(dict.fromkeys(messages)))  # each different message once
 
 
-def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
-    """Score a checkpoint on the test scenes; write figures, table and images."""
+def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> None:
+    """Score a checkpoint on the test scenes; write metrics, table and images to the folder."""
     task, data = trained.task, trained.data
     data.set_ray_origins(options.origins)
     folder.mkdir(parents=True, exist_ok=True)
@@ -145,15 +152,18 @@ def test_again(trained: Trained, folder: Path, options: Evaluation) -> None:
     show_results(folder)
 
 
-def folder_of(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:
-    """Return the folder of results: `name` beside the checkpoint, or in `output`, where systems may have their own."""
+def results_folder(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:
+    """Return the folder of results: `output`, or without one the folder `name` beside the checkpoint.
+
+    With `by_system`, each system has a folder of its own in `output`. Results of shipped weights are in `runs`.
+    """
     if output is not None:
-        return output / system_of(checkpoint) / name if by_system else output
+        return output / system_name(checkpoint) / name if by_system else output
     return (Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent) / name
 
 
 def score_predictions(options: Evaluation) -> None:
-    """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
+    """Score prediction files on the test scenes of the data in the overrides; write metrics and table."""
     folder = options.predictions
     assert folder is not None
     source = Parts(compose_config(CONF, "train", options.overrides)).data().source
@@ -165,6 +175,6 @@ def score_predictions(options: Evaluation) -> None:
     show_results(output)
 
 
-def system_of(checkpoint: Path) -> str:
-    """Return the name of a system: that of its run, or of the shipped weights."""
+def system_name(checkpoint: Path) -> str:
+    """Return the name of the shipped weights, or of the folder of the run."""
     return checkpoint.stem if checkpoint.parent == SHIPPED else checkpoint.absolute().parent.name

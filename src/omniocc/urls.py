@@ -1,63 +1,71 @@
-"""URLs of stores: which may be read, and that none holds a password, since configurations are written into results."""
+"""Checks of the URLs of stores: the protocol is known and the URL holds no password.
+
+Configurations, with their URLs, are written into results, so a password in a URL would be published.
+"""
 
 import re
 
 from omniocc.errors import UserError
 
-AWS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or ~/.aws"
-AZURE = "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY"
-GOOGLE = "GOOGLE_APPLICATION_CREDENTIALS"
-NETRC = "~/.netrc, or the file that NETRC names"
+AWS_CREDENTIALS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or ~/.aws"
+AZURE_CREDENTIALS = "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY"
+GOOGLE_CREDENTIALS = "GOOGLE_APPLICATION_CREDENTIALS"
+NETRC_CREDENTIALS = "~/.netrc, or the file that NETRC names"
 CREDENTIALS = {
-    "http": NETRC,
-    "https": NETRC,
-    "s3": AWS,
-    "s3a": AWS,
-    "gs": GOOGLE,
-    "gcs": GOOGLE,
-    "abfs": AZURE,
-    "az": AZURE,
+    "http": NETRC_CREDENTIALS,
+    "https": NETRC_CREDENTIALS,
+    "s3": AWS_CREDENTIALS,
+    "s3a": AWS_CREDENTIALS,
+    "gs": GOOGLE_CREDENTIALS,
+    "gcs": GOOGLE_CREDENTIALS,
+    "abfs": AZURE_CREDENTIALS,
+    "az": AZURE_CREDENTIALS,
     "file": "",
     "memory": "",
 }
-"""The protocols that are read, and where the clients of their stores look for credentials."""
-ANY = "the environment variables FSSPEC_<PROTOCOL>_<OPTION> or ~/.config/fsspec"
-WITH_CONTAINER = ("abfs", "az")
+"""Protocols that can be read, each with the places where its client looks for credentials; "": it needs none."""
+OTHER_CREDENTIALS = "the environment variables FSSPEC_<PROTOCOL>_<OPTION> or ~/.config/fsspec"
+CONTAINER_PROTOCOLS = ("abfs", "az")
 """Protocols whose URLs may name a container before the host: `abfs://container@account.dfs.core.windows.net`."""
 
-# a password may hold the characters that end a host; what follows a colon is a port if it is a number
+# Group 1 is the protocol, group 2 the text before '@'. The first alternative is a user without '/', '?' or '#'. The
+# second is 'user:password': a password may hold these characters too, but digits after the colon are a port.
 _USER = re.compile(r"(\w*)://(?!\[)([^/?#\n]*|[^/?#:\n]*:(?!\d{1,5}(?:[/?#,\]]|$)).*)@")
+# the query behind '?', or an assignment behind '#' or ';'
 _QUERY = re.compile(r"(://\S*?\?)\S+|(://\S*?[#;])\S*=\S+")
 
 
-def redacted(text: str) -> str:
-    """Return a text with `***` for user and password, query and assignments behind `#` or `;` of every URL in it."""
+def redact(text: str) -> str:
+    """Return a text in which `***` replaces the secret parts of every URL.
 
-    def without_user(found: re.Match[str]) -> str:
-        is_container = found[1] in WITH_CONTAINER and ":" not in found[2]
-        return found[0] if is_container else f"{found[1]}://***@"
+    These are the user with the password, the query, and assignments (`key=value`) behind `#` or `;`.
+    """
 
-    return _QUERY.sub(lambda found: f"{found[1] or found[2]}***", _USER.sub(without_user, text))
+    def hide_user(match: re.Match[str]) -> str:
+        is_container = match[1] in CONTAINER_PROTOCOLS and ":" not in match[2]
+        return match[0] if is_container else f"{match[1]}://***@"
+
+    return _QUERY.sub(lambda match: f"{match[1] or match[2]}***", _USER.sub(hide_user, text))
 
 
 def credentials_problem(text: str) -> str | None:
-    """Return what is wrong with a text that holds a URL with credentials, without them; None for any other text."""
-    hidden = redacted(text)
-    if hidden == text:
+    """Return an error message, with `***` for the credentials, if a text holds a URL with credentials; else None."""
+    redacted = redact(text)
+    if redacted == text:
         return None
-    before = hidden.partition("://")[0]
-    ways = CREDENTIALS.get(re.split(r"\W", before)[-1]) or ANY
+    before = redacted.partition("://")[0]  # may hold more than the protocol, such as 'simplecache::http'
+    places = CREDENTIALS.get(re.split(r"\W", before)[-1]) or OTHER_CREDENTIALS
     return (
-        f"{hidden}: a URL with a user, password or query (***) would be written into results, tables and checkpoints; "
-        f"leave them out and give credentials by {ways}"
+        f"{redacted}: a URL with a user, password or query (***) would be written into results, tables and "
+        f"checkpoints; leave them out and give credentials by {places}"
     )
 
 
 def check_url(url: str) -> None:
-    """Check that a URL is of a protocol in `CREDENTIALS`, of that alone, and without credentials.
+    """Check that a URL has one protocol, that it is in `CREDENTIALS`, and that the URL holds no credentials.
 
     Raises:
-        UserError: naming the URL, without credentials, and what to give instead.
+        UserError: if a check fails; the message names the URL without credentials.
     """
     if problem := credentials_problem(url):
         raise UserError(problem)

@@ -1,6 +1,6 @@
-"""RayIoU and voxel IoU of semantic occupancy on any voxel grid, as torchmetrics metrics, and rays through voxels.
+"""RayIoU and voxel IoU of semantic occupancy on any voxel grid, as torchmetrics metrics; ray casting through voxels.
 
-It needs torch, torchmetrics, numba and jaxtyping, and knows no dataset and no camera.
+The package needs torch, torchmetrics, numba and jaxtyping. It contains no code for a dataset or a camera.
 """
 
 from importlib import import_module
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from rayiou.ray_metric import RayIoU, RayTruth, ray_iou
     from rayiou.voxel_iou import VoxelIoU
 
-METRICS = {
+LAZY_MODULES = {
     "RayIoU": "ray_metric",
     "RayTruth": "ray_metric",
     "VoxelIoU": "voxel_iou",
     "ray_hits": "first_hits",
     "ray_iou": "ray_metric",
 }
-"""Modules of the metrics, which are imported when they are asked for: torchmetrics takes a second."""
+"""Names that are imported at their first use, with their modules: the import of torchmetrics takes a second."""
 
 __all__ = [
     "Cuboid",
@@ -58,6 +58,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in METRICS:
-        return getattr(import_module(f"rayiou.{METRICS[name]}"), name)
+    """Import a name of `LAZY_MODULES`."""
+    if name in LAZY_MODULES:
+        return getattr(import_module(f"rayiou.{LAZY_MODULES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

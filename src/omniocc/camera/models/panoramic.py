@@ -1,4 +1,4 @@
-"""A camera whose images are panoramas around its own place."""
+"""A camera whose images are equirectangular panoramas around the camera."""
 
 from dataclasses import dataclass, replace
 
@@ -14,15 +14,15 @@ from omniocc.camera.protocol import check_fields, finite
 class Panoramic:
     """Camera that sees all around: columns are azimuths over the full turn, rows elevations.
 
-    Its image is that of `Equirectangular` in the frame of a camera (x right, y down, z forward): forward is the middle
-    of the image, and the seam between first and last column is behind. There is no optical axis at which the image
-    ends.
+    `Equirectangular` has the same columns and rows, but its points are in the ego frame (x forward, y left, z up). The
+    points here are in a camera frame (x right, y down, z forward). The middle column looks forward; the first and the
+    last column meet behind the camera.
 
     Attributes:
-        width: of the image, px.
-        height: of the image, px.
-        top_deg: elevation of the image's upper edge, against the camera's y axis.
-        bottom_deg: elevation of the image's lower edge.
+        width: image width, px.
+        height: image height, px.
+        top_deg: elevation of the image's upper edge, degrees; positive angles are above the camera.
+        bottom_deg: elevation of the image's lower edge, degrees.
     """
 
     width: int
@@ -32,7 +32,7 @@ class Panoramic:
 
     def __post_init__(self) -> None:
         check_fields(self, {"top_deg": finite, "bottom_deg": finite})
-        _ = self._panorama
+        _ = self._panorama  # its constructor checks that bottom_deg < top_deg, both within 90 degrees
 
     @property
     def _panorama(self) -> Equirectangular:

@@ -21,7 +21,7 @@ from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, colla
 from omniocc.data.module import worker_options
 from omniocc.data.source import MadeScenes, SceneFrames
 from omniocc.errors import UserError, installing
-from omniocc.evaluate import Evaluation, each, folder_of, opened, system_of
+from omniocc.evaluate import Evaluation, load_with_overrides, results_folder, score_each, system_name
 from omniocc.extras.robustness.disturbance import disturb_scene
 from omniocc.extras.robustness.parts import NO_UNSEEN, VERSION, Part, chosen, parts_of
 from omniocc.io import atomic_write
@@ -90,7 +90,7 @@ def robustness_of(
     setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed])
     facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device)}
     facts |= {"checkpoint": checkpoint.path.name, "seed": seed, "setting": setting, "left out": left_out}
-    return Robustness(system_of(checkpoint.path), facts, scored)
+    return Robustness(system_name(checkpoint.path), facts, scored)
 
 
 def computed_on(device: torch.device) -> str:
@@ -283,8 +283,8 @@ def score_robustness(options: Evaluation) -> None:
     records: list[Robustness] = []
 
     def score(checkpoint: Path) -> None:
-        folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
-        one, wanted = opened(checkpoint, others), options.robustness or ()
+        folder = results_folder(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
+        one, wanted = load_with_overrides(checkpoint, others), options.robustness or ()
         record = robustness_of(one.task, one.data, one.checkpoint, wanted, options.scenes, options.seed, folder=folder)
         save_robustness(folder, record)
         atomic_write(folder / "table.md", parts_text(report_parts([record])))
@@ -294,7 +294,7 @@ def score_robustness(options: Evaluation) -> None:
         print(f"table     {folder / 'table.md'}", flush=True)
 
     try:
-        each(options.checkpoints, score)
+        score_each(options.checkpoints, score)
     finally:
         if records:
             tables = [f"{in_columns(*part.cells)}\n\n{part.note}" for part in report_parts(records)]

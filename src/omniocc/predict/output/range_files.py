@@ -1,4 +1,4 @@
-"""Files of predicted ranges: panoramas, and coloured point clouds as PLY."""
+"""Files of predicted ranges: range panoramas (PNG, NPZ) and coloured point clouds (PLY)."""
 
 import io
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ _PLY_TYPES = {"f4": "float", "u1": "uchar"}
 
 
 def ply_bytes(points_m: np.ndarray, colors: np.ndarray, triangles: np.ndarray | None = None) -> bytes:
-    """Return the content of a binary PLY file, with float coordinates in metres and uchar colours.
+    """Return the content of a binary PLY file of points or of a mesh; coordinates are floats, colours are bytes.
 
     Args:
-        points_m: (V, 3), ego frame.
-        colors: (V, 3) uint8 RGB.
-        triangles: (T, 3) indices of points; None for a point cloud.
+        points_m: (V, 3), ego frame, m.
+        colors: (V, 3) uint8, RGB.
+        triangles: (T, 3) indices into `points_m`; None: a point cloud without faces.
     """
     vertices = np.empty(len(points_m), VERTEX)
     for k, name in enumerate("xyz"):
@@ -49,11 +49,11 @@ def ply_bytes(points_m: np.ndarray, colors: np.ndarray, triangles: np.ndarray | 
 
 
 class PointCloud(NamedTuple):
-    """The point and colour that every pixel of a panorama sees.
+    """The point that every pixel of a panorama sees, and its colour.
 
     Attributes:
-        points_m: in the ego frame, nan where no range is predicted.
-        colors: RGB, 0 where no range is predicted.
+        points_m: points in the ego frame, m; nan where no range is predicted.
+        colors: RGB, 0 where no range is predicted or no camera sees the point.
     """
 
     points_m: Float64[Tensor, "h w 3"]
@@ -65,8 +65,11 @@ def point_cloud(
 ) -> PointCloud:
     """Return the points of a range panorama and their colours.
 
-    `range_m` is the range from the ego origin in the directions of `panorama`, not finite where none is known;
-    `images` are (H, W, 3) uint8 RGB of every camera, of any size.
+    Args:
+        range_m: range from the ego origin along the ray of each pixel, m; inf or nan: no range.
+        panorama: camera model of the pixels.
+        images: one image (H, W, 3) per camera, uint8 RGB, of any size.
+        rig: cameras of the images.
     """
     points = range_m.double().unsqueeze(-1) * panorama.rays().double()
     known = range_m.isfinite()
@@ -79,25 +82,25 @@ def point_cloud(
 def point_colors(
     points_m: Float64[Tensor, "P 3"], images: Sequence[np.ndarray], rig: Rig
 ) -> tuple[UInt8[Tensor, "P 3"], Bool[Tensor, " P"]]:
-    """Return the RGB of points, given in the ego frame, and whether any camera sees them.
+    """Return the RGB of points in the ego frame, and whether any camera sees them.
 
-    The colour comes from the camera that sees the point nearest to its optical axis. Occlusion is ignored; cameras with
-    a black image see nothing. `images` are as in `point_cloud`.
+    Of the cameras that see a point, the one with the smallest angle between optical axis and point gives the colour.
+    Occlusion is ignored. A camera with an all-black image sees nothing. `images` are as in `point_cloud`.
     """
     pixels, valid = rig.project(points_m)
     to_camera = points_m - rig.ego_from_camera[:, None, :3, 3]
     cosine = F.cosine_similarity(to_camera, rig.ego_from_camera[:, None, :3, 2], dim=-1)
-    active = torch.tensor([bool(image.any()) for image in images])
-    cosine = torch.where(valid & active[:, None], cosine, -torch.inf)
-    best = cosine.argmax(0)
+    has_image = torch.tensor([bool(image.any()) for image in images])
+    cosine = torch.where(valid & has_image[:, None], cosine, -torch.inf)
+    nearest = cosine.argmax(0)  # index of the camera; 0 too where no camera sees the point
     colors = torch.zeros(len(points_m), 3, dtype=torch.uint8)
     for k, image in enumerate(images):
-        own = (best == k) & cosine[k].isfinite()
-        colors[own] = _sampled(image, pixels[k][own], rig.cameras[k])
+        chosen = (nearest == k) & cosine[k].isfinite()
+        colors[chosen] = _sample_colors(image, pixels[k][chosen], rig.cameras[k])
     return colors, cosine.amax(0).isfinite()
 
 
-def _sampled(image: np.ndarray, pixels: Float64[Tensor, "P 2"], camera: Camera) -> UInt8[Tensor, "P 3"]:
+def _sample_colors(image: np.ndarray, pixels: Float64[Tensor, "P 2"], camera: Camera) -> UInt8[Tensor, "P 3"]:
     grid = normalize_pixels(pixels, camera.width, camera.height)[None, None]
     source = torch.from_numpy(image).permute(2, 0, 1)[None].double()
     values = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
@@ -121,12 +124,16 @@ def write_depth(
 ) -> int:
     """Write `range.png`, `range.npz`, `points.ply` and `overview.png` of one frame; return the number of points.
 
-    `range.png` is 16 bit, 1/256 m per step as in KITTI's depth maps; 0: no range. `range.npz` holds `range_m` (nan
-    where there is no range) and `confidence`, float32 of (height, width), and the panorama's edges `top_deg` and
-    `bottom_deg`.
+    `range.png` has 16 bits per pixel in steps of 1/256 m, as KITTI's depth maps; 0: no range. `range.npz` holds float32
+    arrays (height, width): `range_m`, m, nan: no range; and `confidence`. It also holds the panorama's edges, `top_deg`
+    and `bottom_deg`. The folder is created if it is missing.
 
-    The folder is created if it is missing. `panorama` has the directions of the pixels, `overview` is (H, W, 3) uint8
-    RGB.
+    Args:
+        folder: folder of the files.
+        depth: predicted ranges; the first of the batch is written.
+        panorama: camera model of the pixels.
+        cloud: points of `points.ply`.
+        overview: image (H, W, 3), uint8 RGB.
 
     Raises:
         DataError: naming the path that cannot be written.
