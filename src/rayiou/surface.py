@@ -1,4 +1,4 @@
-"""The surface of occupied cells, from which images and meshes of voxels are drawn."""
+"""Faces of occupied cells, from which images and meshes of voxels are drawn."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,10 @@ from torch import Tensor
 
 from rayiou.grid import Grid
 
-AROUND = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""Corners of a face along the two axes in its plane, in turn."""
+FACE_CYCLE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+"""Coordinates of the four corners of a face along the two axes in its plane, counter-clockwise."""
 FLAT_M2 = 1e-9
-"""Area of a face that counts as none."""
+"""Largest area of a face that counts as flat, without area."""
 
 
 class Surface(NamedTuple):
@@ -27,11 +27,11 @@ class Surface(NamedTuple):
     cells: np.ndarray
 
 
-def surface(occupied: Bool[Tensor, "X Y Z"], grid: Grid) -> Surface:
-    """Return the faces between an occupied cell and a neighbour that is not occupied or is outside the grid.
+def extract_surface(occupied: Bool[Tensor, "X Y Z"], grid: Grid) -> Surface:
+    """Return the faces of occupied cells whose neighbour is not occupied or is outside the grid.
 
-    Faces come axis by axis, lower before upper, cells in row-major order. A cylinder's curved faces are drawn flat, as
-    chords; at its axis, faces have no area.
+    Faces are ordered by axis, then lower before upper, then row-major by cell. The curved faces of a cylinder are
+    replaced by flat ones through the same corners; faces at its axis have no area.
     """
     solid = occupied.reshape(-1).numpy()
     neighbors = grid.neighbors().reshape(-1, 6).numpy()
@@ -39,7 +39,7 @@ def surface(occupied: Bool[Tensor, "X Y Z"], grid: Grid) -> Surface:
     lattice = grid.from_axes(*edges).numpy()
     corners, cells = [], []
     for side in range(6):
-        beyond = neighbors[:, side]
+        beyond = neighbors[:, side]  # -1 where there is no neighbour
         exposed = np.flatnonzero(solid & ~((beyond >= 0) & solid[beyond]))
         index = np.stack(np.unravel_index(exposed, grid.shape), 1)[:, None] + face_corners(side // 2, side % 2)
         corners.append(lattice[tuple(np.moveaxis(index, -1, 0))])
@@ -47,20 +47,20 @@ def surface(occupied: Bool[Tensor, "X Y Z"], grid: Grid) -> Surface:
     return Surface(np.concatenate(corners), np.concatenate(cells))
 
 
-def with_area(found: Surface) -> Surface:
-    """Return the faces that have an area: those at the axis of a cylinder have none."""
-    quads = found.corners_m
+def drop_flat_faces(faces: Surface) -> Surface:
+    """Return the faces that have an area; those at the axis of a cylinder have none."""
+    quads = faces.corners_m
     diagonals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
-    solid = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2
-    return Surface(quads[solid], found.cells[solid])
+    kept = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2  # the diagonals' cross product is twice the area
+    return Surface(quads[kept], faces.cells[kept])
 
 
 def face_corners(axis: int, upper: int) -> np.ndarray:
     """Return the corners (4, 3) of a unit cell's lower (0) or upper (1) face, counter-clockwise seen from outside.
 
-    Axes in cyclic order are right-handed in every grid, in a cylinder (r, theta, z) too.
+    The order of corners relies on right-handed axes, which every grid has: (x, y, z), or (r, theta, z) in a cylinder.
     """
     corners = np.zeros((4, 3), dtype=np.int64)
     corners[:, axis] = upper
-    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = AROUND if upper else AROUND[::-1]
+    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = FACE_CYCLE if upper else FACE_CYCLE[::-1]
     return corners

@@ -83,7 +83,7 @@ def check_grid(seed: int, compare: Callable[..., float], first_hits: Callable[..
     labels = torch.randint(1, 12, grid.shape, generator=generator, dtype=torch.uint8)
     labels[torch.rand(grid.shape, generator=generator) < torch.rand((), generator=generator)] = 0
     expected = first_hits(grid, labels, origins, directions)
-    on_tensors = TensorTable(grid, RayFans.single(origins, directions)).cast_all([labels])[0]
+    on_tensors = TensorTable(grid, RayFans.from_rays(origins, directions)).cast_all([labels])[0]
     for hits in (grid.cast(labels, origins, directions), on_tensors):
         assert torch.equal(hits.cells, expected[0]), (seed, grid)
         assert torch.equal(hits.labels, expected[1]), (seed, grid)

@@ -11,7 +11,7 @@ from made_page import CUBOID, CYLINDER, rig, street
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.extras.viewer.page.pack import Packed
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from rayiou.surface import surface
+from rayiou.surface import extract_surface
 
 pytestmark = pytest.mark.browser
 HOLLOW = Cylinder((7, 9, 5), (1.5, 12.0), (-2.0, 2.0))
@@ -70,7 +70,7 @@ def test_merged_faces_cover_each_face_of_the_surface_once(name, shared):
            return Array.from(omniocc.faces(volume.grid, volume.labels, visible)); }"""
     )
     rows = np.array(rows).reshape(-1, 8)
-    expected = surface((labels != FREE) & (labels != UNKNOWN), grid)
+    expected = extract_surface((labels != FREE) & (labels != UNKNOWN), grid)
     area = np.linalg.norm(np.cross(*np.moveaxis(expected.corners_m[:, 2:] - expected.corners_m[:, :2], 1, 0)), axis=1)
     found = single_faces(rows, grid.shape)
     cells = expected.cells[area > 1e-12]  # at a cylinder's axis faces have no area
@@ -99,7 +99,7 @@ def test_corners_of_faces_are_those_of_the_surface(name, shared):
            return [Array.from(mesh.position), Array.from(mesh.normal)]; }"""
     )
     corners, normals = (np.array(part).reshape(6, 4, 3) for part in found)
-    expected = surface(labels == 4, grid).corners_m
+    expected = extract_surface(labels == 4, grid).corners_m
     outward = np.cross(expected[:, 2] - expected[:, 0], expected[:, 3] - expected[:, 1])
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     for ours, ours_normal, theirs, theirs_normal in zip(corners, normals, expected, outward, strict=True):

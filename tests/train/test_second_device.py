@@ -17,7 +17,7 @@ from omniocc.model.ops.static import static_shapes
 from omniocc.predict.predictor import Input, Predictor, predict_depth
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.train.depth import DepthTask
-from omniocc.train.every_frame import Leaves
+from omniocc.train.every_frame import FrameOutputs
 from omniocc.train.stage_task import step_generator
 from omniocc.train.stages import predict_range_m
 
@@ -157,10 +157,10 @@ def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path,
     def read(scene, frame):
         return torch.randint(0, 256, (6, 3, 36, 64), dtype=torch.uint8), None
 
-    leaves = Leaves("ranges", [scene], [cache], read, predict)
-    assert leaves.missing() == [scene]
-    leaves.fill([scene], task, CUDA, 0, "depth")
+    outputs = FrameOutputs("ranges", [scene], [cache], read, predict)
+    assert outputs.missing() == [scene]
+    outputs.fill([scene], task, CUDA, 0, "depth")
     assert seen == [(True, None)] * 2
-    assert leaves.missing() == []
+    assert outputs.missing() == []
     assert cache.read(scene, 1).isfinite().any()
     assert not any(tagged(parameter) for parameter in task.parameters())

@@ -9,7 +9,7 @@ from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.progress import STATUS_FILE, read_status
 from omniocc.train.stage_keys import stage_keys, wanted_stages
-from omniocc.train.stages import claimed, stages_of
+from omniocc.train.stages import lock_folder, stages_of
 
 
 @pytest.fixture
@@ -101,10 +101,10 @@ def test_a_second_process_waits_and_reports_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv(STATUS_FILE, str(status))
 
     def second():
-        with claimed(tmp_path, "depth"):
+        with lock_folder(tmp_path, "depth"):
             events.append("second")
 
-    with claimed(tmp_path, "depth"):
+    with lock_folder(tmp_path, "depth"):
         thread = threading.Thread(target=second)
         thread.start()
         while (reported := read_status(status)) is None or reported.state != "waiting":
@@ -134,9 +134,9 @@ def test_one_more_scene_computes_the_ranges_of_that_scene_alone(smoke, data_root
         data = parts.data()
         data.prepare_data()
         depth = stages_of(parts, data)[0]
-        leaves = depth.leaves()
-        counted = leaves._replace(predict=lambda *given: frames.append(1) or leaves.predict(*given))
-        monkeypatch.setattr(depth, "leaves", lambda: counted)
+        outputs = depth.outputs()
+        counted = outputs._replace(predict=lambda *given: frames.append(1) or outputs.predict(*given))
+        monkeypatch.setattr(depth, "outputs", lambda: counted)
         frames.clear()
         depth.run("depth")
         return len(frames)

@@ -88,7 +88,7 @@ def panorama_view(geometry: Grid, panorama: Equirectangular, columns: int, rows:
 
 def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> View:
     directions = rays[valid]
-    return View(valid, RayTable(geometry, RayFans.single(origin.expand_as(directions), directions)))
+    return View(valid, RayTable(geometry, RayFans.from_rays(origin.expand_as(directions), directions)))
 
 
 def _colors(view: View, labels: Labels, palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

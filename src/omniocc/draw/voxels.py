@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.draw.canvas import Labels
 from omniocc.geometry import Grid
-from rayiou.surface import face_corners, surface
+from rayiou.surface import extract_surface, face_corners
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
@@ -81,7 +81,7 @@ def render_voxels(
 
 
 def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
-    corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
+    corners, cells = extract_surface((labels != FREE) & (labels != UNKNOWN), geometry)
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     centers = geometry.centers(torch.float64).reshape(-1, 3).numpy()[cells]

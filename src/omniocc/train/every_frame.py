@@ -21,8 +21,8 @@ Predict = Callable[..., tuple[Tensor, ...]]
 """Returns one array for each cache, and may return more, from a task, a rig and inputs as a batch of one."""
 
 
-class Leaves(NamedTuple):
-    """What a stage leaves.
+class FrameOutputs(NamedTuple):
+    """What a stage predicts for every frame and keeps for later stages.
 
     Attributes:
         what: in a word, for the progress.

@@ -1,4 +1,4 @@
-"""One stage of training: depth, sketch or occupancy. All of them run in the same way."""
+"""One stage of training: depth, sketch or occupancy. `Stage.run` trains and tests all three in the same way."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -35,17 +35,17 @@ from omniocc.runs.results import (
 )
 from omniocc.runs.wandb.loggers import finish
 from omniocc.train.callbacks import LastCheckpoint, StepProgress, StopAtSignal, TrainingTime
-from omniocc.train.every_frame import Leaves
+from omniocc.train.every_frame import FrameOutputs
 from omniocc.train.stage_task import Recipe, StageTask
 
 
 class Place(NamedTuple):
-    """Where a stage works.
+    """Where a stage reads and writes its files.
 
     Attributes:
-        folder: of checkpoints and curves.
-        checkpoint: from which its training goes on; None at the start.
-        results: folder of the figures.
+        folder: holds checkpoints and curves.
+        checkpoint: its training goes on from this file; None if it begins.
+        results: folder that holds the figures of the test.
     """
 
     folder: Path
@@ -59,32 +59,32 @@ class Place(NamedTuple):
 
 
 class Stage(ABC):
-    """A training and its test. A subclass says what is trained, what is read for it, and what it leaves.
+    """Train a model and test it. A subclass says what is trained, what is read for it, and what later stages get.
 
     Args:
-        parts: of the checked configuration.
-        data: prepared; the stage is trained on its scenes and predicts for all of them.
-        before: the earlier stages, in order.
-        followed: whether a later stage reads what this one leaves.
+        parts: builds the objects of the checked configuration.
+        data: prepared scenes; the stage is trained on some and predicts for all of them.
+        earlier: the earlier stages, in order.
+        has_reader: whether a later stage reads the outputs of this one.
 
     Attributes:
-        NAME: of the stage, as in `conf/stages`.
+        NAME: name of the stage, as in `conf/stages`.
         recipe: how it is trained.
-        window: frames of a sample.
+        window: number of frames of a sample.
         learns: whether there is anything to train.
-        TESTS_BEST: whether the best checkpoint is tested, which `callbacks` chooses, rather than the last weights.
-        AGAIN: what the line on a finished stage adds.
+        TESTS_BEST: whether the best checkpoint is tested, which one of `callbacks` saves, instead of the last weights.
+        FINISHED_HINT: end of the line that says that the stage is finished.
     """
 
     NAME: ClassVar[str]
     TESTS_BEST: ClassVar[bool] = False
-    AGAIN: ClassVar[str] = ""
+    FINISHED_HINT: ClassVar[str] = ""
     window = 1
     learns = True
 
-    def __init__(self, parts: Parts, data: OccupancyData, before: "Sequence[Stage]" = (), followed: bool = False):
-        self.parts, self.data, self.followed = parts, data, followed
-        self.before = {stage.NAME: stage for stage in before}
+    def __init__(self, parts: Parts, data: OccupancyData, earlier: "Sequence[Stage]" = (), has_reader: bool = False):
+        self.parts, self.data, self.has_reader = parts, data, has_reader
+        self.earlier = {stage.NAME: stage for stage in earlier}
         self.recipe: Recipe = parts.recipe(self.NAME)
 
     @cached_property
@@ -93,53 +93,53 @@ class Stage(ABC):
         """Return a hash of everything that decides the results."""
 
     @abstractmethod
-    def claimed(self, title: str) -> AbstractContextManager[Place]:
-        """Lock the stage's folder."""
+    def lock(self, title: str) -> AbstractContextManager[Place]:
+        """Lock the stage's folder within the context; give its place, with the checkpoint to go on from."""
 
     @abstractmethod
     def task(self, rig: Rig) -> StageTask:
-        """Return what is trained, with new weights; `rig` is that of the first training frame."""
+        """Return the task with new weights; `rig` is the rig of the first training frame."""
 
     @abstractmethod
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:
-        """Return what is read of a sample in training, and in validation and test."""
+        """Return what is read of a sample in training, then what is read in validation and test."""
 
     @abstractmethod
     def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:
-        """Return what happens beside the training, such as images of test frames."""
+        """Return the callbacks of this stage, such as one that draws test frames."""
 
     @abstractmethod
     def cost(self, task: StageTask, data: OccupancyData) -> dict[str, float]:
-        """Return the parameters and the operations of one frame."""
+        """Return the number of parameters, and the operations for one frame."""
 
     @abstractmethod
-    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
-        """Give the task its first weights; return a line on weights that the recipe names."""
+    def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+        """Give the task its first weights; return a line about weights that the recipe names, or None."""
 
     def figures_and_facts(
         self, task: StageTask, data: OccupancyData, trainer: Trainer, place: Place
     ) -> tuple[dict[str, float], dict[str, Any]]:
-        """Return further figures and facts of a finished test, for which the first process asks."""
+        """Return further figures and facts of a finished test; only the first process calls this."""
         return {}, {}
 
-    def leaves(self) -> Leaves | None:
-        """Return what is predicted for every frame, for later stages."""
+    def outputs(self) -> FrameOutputs | None:
+        """Return what is predicted for every frame and kept for later stages; None if nothing is."""
         return None
 
     def amount(self, frames: int, trainer: Trainer) -> Amount:
-        """Return how much training the recipe asks for on this many training frames."""
+        """Return how much training the recipe asks for, given the number of training frames."""
         recipe, devices = self.recipe, trainer.num_devices * trainer.num_nodes
         return Amount(
             recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, trainer.accumulate_grad_batches
         )
 
     def run(self, title: str) -> dict[str, float]:
-        """Train and test unless that is done, fill what later stages read, and return the figures."""
-        with self.claimed(title) as place:
-            leaves = self.leaves() if self.followed else None
-            missing = leaves.missing() if leaves else []
+        """Train and test unless that is done, predict what later stages read, and return the figures."""
+        with self.lock(title) as place:
+            outputs = self.outputs() if self.has_reader else None
+            missing = outputs.missing() if outputs else []
             if place.finished:
-                announce(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.AGAIN}")
+                announce(f"{title} is finished: {place.results}{made_by_other_code(place.results)}{self.FINISHED_HINT}")
             if not place.finished or missing:
                 seed_everything(self.recipe.seed, workers=True, verbose=False)
                 task = self.task(first_rig(self.data.source))
@@ -147,23 +147,23 @@ class Stage(ABC):
                     task.model.load_state_dict(load_checkpoint(place.folder / LAST).model_weights)
                 else:
                     self.train(task, place, title)
-                if leaves and missing:
+                if outputs is not None and missing:
                     device = self.parts.trainer().strategy.root_device
-                    leaves.fill(missing, task, device, self.data.num_workers, title)
+                    outputs.fill(missing, task, device, self.data.num_workers, title)
         barrier()
         if is_first():
             show_results(place.results)
         return load_results(place.results)[1]
 
     def train(self, task: StageTask, place: Place, title: str) -> None:
-        """Train from the beginning or a checkpoint, test, and write figures with facts about the training."""
+        """Train from the start or a checkpoint, test, and write figures and facts about the training."""
         recipe, last, cfg = self.recipe, place.folder / LAST, self.parts.cfg
         if is_first():
             atomic_write(place.folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
         data = self.parts.data(window=self.window, batch_size=recipe.batch_size, seed=recipe.seed)
         data.set_needs(*self.needs(task))
-        data.setup()  # `begin` counts classes in the training frames; when Lightning calls it again, nothing changes
-        given = self.begin(task, data, place.checkpoint)
+        data.setup()  # `initialize` counts classes in the training frames; a second call, by Lightning, changes nothing
+        weights_line = self.initialize(task, data, place.checkpoint)
         duration = TrainingTime()
         trainer = self.parts.trainer(
             max_steps=recipe.max_steps,
@@ -183,47 +183,47 @@ class Stage(ABC):
             default_root_dir=str(place.folder),
         )
         if trainer.is_global_zero:
-            announce_stage(title, task, data, place, given)
+            announce_stage(title, task, data, place, weights_line)
         trains = self.learns and recipe.max_steps != 0
         if trains:
             trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
-        minutes, tested = duration.minutes, None  # a checkpoint that is loaded has its own
+        minutes, tested_checkpoint = duration.minutes, None  # now: a checkpoint loaded for the test brings its own time
         if trains and self.TESTS_BEST:
             trainer.save_checkpoint(last)
-            tested = str(best if (best := place.folder / BEST).exists() else last)
-        metrics = dict(trainer.validate(task, datamodule=data, ckpt_path=tested, verbose=False)[0])
+            tested_checkpoint = str(best if (best := place.folder / BEST).exists() else last)
+        metrics = dict(trainer.validate(task, datamodule=data, ckpt_path=tested_checkpoint, verbose=False)[0])
         if trains:
             task.fit_to_validation()
-        metrics |= trainer.test(task, datamodule=data, ckpt_path=tested, verbose=False)[0]
-        if tested is None:
+        metrics |= trainer.test(task, datamodule=data, ckpt_path=tested_checkpoint, verbose=False)[0]
+        if tested_checkpoint is None:
             trainer.save_checkpoint(last)
         barrier()
         if not trainer.is_global_zero:
             return
         device = trainer.strategy.root_device
-        facts = {"run": place.folder.name, "checkpoint": Path(tested or last).name, "seed": recipe.seed}
+        facts = {"run": place.folder.name, "checkpoint": Path(tested_checkpoint or last).name, "seed": recipe.seed}
         facts |= {"steps": trainer.global_step, "preset": cfg.preset.name, "command": command_line()}
         facts |= {MINUTES: minutes, PEAK: peak_mib(device), MACHINE: machine(device), **self.cost(task, data)}
-        more, about = self.figures_and_facts(task, data, trainer, place)
-        facts |= {**about, "commit": git_commit(), "data": data.source.fingerprint, FINISHED: utc_text(time())}
-        save_results(place.results, metrics | more, facts)
+        further_figures, further_facts = self.figures_and_facts(task, data, trainer, place)
+        facts |= {**further_facts, "commit": git_commit(), "data": data.source.fingerprint, FINISHED: utc_text(time())}
+        save_results(place.results, metrics | further_figures, facts)
         finish(trainer.loggers)
 
 
-def announce_stage(title: str, task: StageTask, data: OccupancyData, place: Place, given: str | None) -> None:
-    """Print a line each on the folder, the model, the weights that it starts from (None: random ones), and data."""
+def announce_stage(title: str, task: StageTask, data: OccupancyData, place: Place, weights_line: str | None) -> None:
+    """Print a line each on the folder, the model, the first weights (unless `weights_line` is None) and the data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     start = "begins" if place.checkpoint is None else f"goes on from {place.checkpoint.name}"
     announce(f"{title} {start}: {place.folder}")
     grid = data.geometry
     shape = f"{type(grid).__name__} {'x'.join(map(str, grid.shape))}"
     announce(f"model     {parameters:.2f} M parameters, {type(task.model).__name__}, {shape}")
-    if given is not None:
-        announce(f"weights   {given}")
+    if weights_line is not None:
+        announce(f"weights   {weights_line}")
     announce(f"data      {data.source.folder}")
 
 
 def announce(text: str) -> None:
-    """Print a line in the first process."""
+    """Print a line, in the first process only."""
     if is_first():
         print(text, flush=True)

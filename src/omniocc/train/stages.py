@@ -40,7 +40,7 @@ from omniocc.runs.slots import depth_learns, uses_evidence
 from omniocc.runs.wandb.loggers import log_earlier_stages
 from omniocc.train.build import build_task
 from omniocc.train.depth import DepthTask
-from omniocc.train.every_frame import Leaves
+from omniocc.train.every_frame import FrameOutputs
 from omniocc.train.images import DepthImages, OccupancyImages, SketchImages
 from omniocc.train.occupancy import OccupancyTask
 from omniocc.train.scene_counts import save_by_scene
@@ -95,15 +95,15 @@ class EarlierStage(Stage):
         return Place(self.folder, None, self.results).finished
 
     @contextmanager
-    def claimed(self, title: str) -> Iterator[Place]:
+    def lock(self, title: str) -> Iterator[Place]:
         """Lock the folder in the first process; wait while another run works in it."""
-        with claimed(self.folder, title) if is_first() else nullcontext():
+        with lock_folder(self.folder, title) if is_first() else nullcontext():
             checkpoint, message = (None, None) if self.finished or not self.learns else resumable(self.folder / LAST)
             if message:
                 announce(message)
             yield Place(self.folder, checkpoint, self.results)
 
-    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:  # noqa: D102
+    def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:  # noqa: D102
         return load_first_weights(task.model, self.recipe, self.NAME, checkpoint, task.config)
 
     def store(self, kind: type[Cache], shape: Sequence[int], own: Path, name: str, of_all: str | None) -> Cache:
@@ -117,7 +117,7 @@ class EarlierStage(Stage):
         return load_checkpoint(self.folder / LAST).model_weights
 
     @abstractmethod
-    def leaves(self) -> Leaves:  # noqa: D102
+    def outputs(self) -> FrameOutputs:  # noqa: D102
         ...
 
 
@@ -154,7 +154,7 @@ class DepthStage(EarlierStage):
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
         return test._replace(camera_ranges=getattr(task.model, "NEEDS_CAMERA_RANGES", True)), test
 
-    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+    def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights that the recipe names.
 
         Raises:
@@ -169,7 +169,7 @@ class DepthStage(EarlierStage):
             )
         if getattr(task.model, "COMPARES_CAMERAS", False):
             announce(matching_line(shared_view(scene.rigs[0], SHARED_AT_M * self.panorama.rays())))
-        return super().begin(task, data, checkpoint)
+        return super().initialize(task, data, checkpoint)
 
     def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:  # noqa: D102
         return [DepthImages(place.results / IMAGES, self.parts.cfg.test_images, data.spec.classes)]
@@ -180,9 +180,9 @@ class DepthStage(EarlierStage):
         images = sample.images[-1:].to(device)
         return cost_of_network(task.model, lambda: task.model.eval()(images, sample.rigs[-1:], true_range_m))
 
-    def leaves(self) -> Leaves:  # noqa: D102
+    def outputs(self) -> FrameOutputs:  # noqa: D102
         read = partial(read_depth_inputs, with_range=self.needs_true_range)
-        return Leaves("ranges", self.scenes, [self.ranges], read, predict_range_m)
+        return FrameOutputs("ranges", self.scenes, [self.ranges], read, predict_range_m)
 
 
 class SketchStage(EarlierStage):
@@ -197,7 +197,7 @@ class SketchStage(EarlierStage):
     @property
     def depth(self) -> DepthStage:
         """Return the stage before."""
-        return cast(DepthStage, self.before["depth"])
+        return cast(DepthStage, self.earlier["depth"])
 
     @cached_property
     def candidates(self) -> CandidateCache:
@@ -221,10 +221,10 @@ class SketchStage(EarlierStage):
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
         return test._replace(images=False), test
 
-    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+    def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
         cast(nn.Module, task.model.depth).load_state_dict(self.depth.weights())
-        return super().begin(task, data, checkpoint)
+        return super().initialize(task, data, checkpoint)
 
     def callbacks(self, place: Place, data: OccupancyData) -> list[Callback]:  # noqa: D102
         return [SketchImages(place.results / IMAGES, self.parts.cfg.test_images, data.spec.classes)]
@@ -236,10 +236,10 @@ class SketchStage(EarlierStage):
         found = finite_ranges(range_m[None].to(device))
         return cost_of_network(task.model, lambda: cast(SketchTask, task.eval()).sketch.propose(*found))
 
-    def leaves(self) -> Leaves:  # noqa: D102
+    def outputs(self) -> FrameOutputs:  # noqa: D102
         caches = [self.candidates, *([self.evidence] if self.evidence else [])]
         read = partial(read_range, self.depth.ranges)
-        return Leaves("candidates", self.scenes, caches, read, predict_sketched)
+        return FrameOutputs("candidates", self.scenes, caches, read, predict_sketched)
 
 
 class OccupancyStage(Stage):
@@ -247,7 +247,7 @@ class OccupancyStage(Stage):
 
     NAME = "occupancy"
     TESTS_BEST = True
-    AGAIN = "; resume=never trains again beside it"
+    FINISHED_HINT = "; resume=never trains again beside it"
 
     @cached_property
     def window(self) -> int:  # type: ignore[override]  # noqa: D102
@@ -260,10 +260,10 @@ class OccupancyStage(Stage):
     @property
     def sketch(self) -> SketchStage | None:
         """Return the stage before; None without a learned sketch."""
-        return cast(SketchStage | None, self.before.get("sketch"))
+        return cast(SketchStage | None, self.earlier.get("sketch"))
 
     @contextmanager
-    def claimed(self, title: str) -> Iterator[Place]:
+    def lock(self, title: str) -> Iterator[Place]:
         """Lock the run's folder; raise UserError when another process works in it."""
         cfg = self.parts.cfg
         run = open_run(Path(cfg.paths.runs), cfg.name, self.key, cfg.resume)
@@ -282,7 +282,7 @@ class OccupancyStage(Stage):
         learned = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
         return test._replace(scores=False, **learned), test
 
-    def begin(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
+    def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the sketch, count the classes of the training frames, and load what fits of the given weights."""
         assert isinstance(task, OccupancyTask)
         if self.sketch is not None:
@@ -311,7 +311,7 @@ class OccupancyStage(Stage):
         The fraction of candidates is measured here only if the sketch is not learned; else its stage measures it.
         """
         assert isinstance(task, OccupancyTask)
-        before = {name: load_results(cast(EarlierStage, stage).results) for name, stage in self.before.items()}
+        before = {name: load_results(cast(EarlierStage, stage).results) for name, stage in self.earlier.items()}
         figures = {name: value for _, known in before.values() for name, value in known.items()}
         log_earlier_stages(trainer.loggers, figures, trainer.global_step)
         save_by_scene(place.folder, task.scores, data.source, task.counted)
@@ -341,7 +341,7 @@ def stages_of(parts: Parts, data: OccupancyData) -> list[Stage]:
     stages: list[Stage] = []
     names = wanted_stages(parts.cfg)
     for name in names:
-        stages.append(KINDS[name](parts, data, tuple(stages), followed=name != names[-1]))
+        stages.append(KINDS[name](parts, data, tuple(stages), has_reader=name != names[-1]))
     return stages
 
 
@@ -382,7 +382,7 @@ def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tenso
 
 
 @contextmanager
-def claimed(folder: Path, title: str) -> Iterator[None]:
+def lock_folder(folder: Path, title: str) -> Iterator[None]:
     """Lock a stage's folder; wait while another process works in it."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock")

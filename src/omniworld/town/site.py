@@ -1,4 +1,4 @@
-"""A map of the free land, and the list of objects that were put on it."""
+"""The plan of the land that is taken, and the objects that were put on the land."""
 
 from dataclasses import dataclass, field
 from math import cos, sin
@@ -14,6 +14,8 @@ from omniworld.town.terrain import Terrain
 from rayiou.compiled import compiled
 
 _CELL_M = 0.4
+# No point is farther than 0.2 m from the nearest sample of a square raster of 0.28 m, however it is turned, so every
+# cell (0.4 m) that lies within a rectangle has a sample.
 _SAMPLE_M = 0.28
 
 
@@ -26,20 +28,20 @@ class Pose2:
     yaw_rad: Number
 
     def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
-        """Return the pose with these coordinates in the frame of this one."""
+        """Return the pose `along_m` ahead and `left_m` to the left of this one, turned further by `yaw_rad`."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
 
 
 class Signal(NamedTuple):
-    """A traffic light for the cars that arrive at an arm (street, at its end) of a junction."""
+    """A traffic light for the cars that reach a junction by one arm: number of the street, and whether at its end."""
 
     arm: tuple[int, bool]
     pose: Pose2
 
 
 class Plan:
-    """A grid of 0.4 m of the land that is taken, so that static objects overlap neither each other nor a lane."""
+    """A grid of 0.4 m cells of land, free or taken, so that static objects overlap neither each other nor a lane."""
 
     def __init__(self, radius_m: float) -> None:
         self._radius_m = radius_m
@@ -47,11 +49,11 @@ class Plan:
         self._taken = np.zeros(self._count**2, bool)
 
     def block(self, points_m: np.ndarray) -> None:
-        """Take the cells of (..., 2) points."""
+        """Take the cells that hold points (..., 2), in metres."""
         self._taken[self._cells(points_m[..., 0], points_m[..., 1])] = True
 
     def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
-        """Take a rectangle centred on the pose if all of it is free; return whether it was."""
+        """Take a rectangle (length, width) centred on the pose if all of it is free; return whether it was taken."""
         place = float(pose.x_m), float(pose.y_m), cos(pose.yaw_rad), sin(pose.yaw_rad)
         return _claim(self._taken, self._count, self._radius_m, *place, float(size_m[0]), float(size_m[1]))
 
@@ -64,7 +66,7 @@ class Plan:
 @compiled
 @no_type_check
 def _claim(taken, count, radius_m, x_m, y_m, c, s, length_m, width_m):
-    """Take the cells of a rectangle if all are free: most claims fail in a coarse test of them, before the fine one."""
+    """Take the cells of a rectangle if all are free; samples 6 m apart come first, as most claims fail there."""
     for step_m, take in ((6.0, False), (_SAMPLE_M, False), (_SAMPLE_M, True)):
         rows, columns = int(length_m / step_m) + 1, int(width_m / step_m) + 1
         for row in range(rows + 1):
@@ -83,11 +85,12 @@ def _claim(taken, count, radius_m, x_m, y_m, c, s, length_m, width_m):
 
 @dataclass
 class Site:
-    """Collects the objects of a place; copies of one prototype are laid out together, which is fast."""
+    """Collects the objects of a place. Copies of one mesh are transformed in one call, which is faster."""
 
     terrain: Terrain
     plan: Plan
     signals: list[Signal] = field(default_factory=list)
+    # By mesh and repainted materials: the mesh, a row of pose and stretch for each copy, and its colors.
     _copies: dict[tuple[int, tuple[Material, ...]], tuple[Mesh, list, list]] = field(default_factory=dict)
 
     def put(
@@ -100,9 +103,9 @@ class Site:
         paint: dict[Material, Color] | None = None,
         follow: bool = False,
     ) -> None:
-        """Stand a copy of `mesh` on the land, some materials repainted; claims nothing on the plan.
+        """Stand a copy of `mesh` on the land, its materials in `paint` recolored; the plan is not changed.
 
-        With `follow` its x axis rises and falls with the land, as fences do.
+        With `follow` the copy's x axis has the slope of the land, as a fence has.
         """
         paint = paint or {}
         _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))
@@ -122,7 +125,7 @@ class Site:
         return concatenate(parts)
 
     def _slope(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Return the slope of the land, rise over run, along directions `yaw`."""
+        """Return the slope of the land along directions `yaw`: rise over run, between points 1.5 m ahead and behind."""
         ahead = np.stack([np.cos(yaw), np.sin(yaw)])
         front, back = (self.terrain.height(x + d * ahead[0], y + d * ahead[1]) for d in (1.5, -1.5))
         return (front - back) / 3

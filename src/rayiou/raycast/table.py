@@ -84,7 +84,7 @@ def cast(grid: Lattice, labels: UInt8[Tensor, "X Y Z"], origins: Rays, direction
     parts = []
     for first in range(0, max(len(origins), 1), chunk_rays):
         chunk = slice(first, first + chunk_rays)
-        parts.append(RayTable(grid, RayFans.single(origins[chunk], directions[chunk])).cast(labels))
+        parts.append(RayTable(grid, RayFans.from_rays(origins[chunk], directions[chunk])).cast(labels))
     return Hits(*(torch.cat(part) for part in zip(*parts, strict=True)))
 
 

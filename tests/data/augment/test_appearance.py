@@ -3,7 +3,7 @@ import torch
 
 from omniocc.data import Appearance
 from omniocc.data.augment.appearance import _jpeg, missing_ones
-from omniocc.data.augment.degrade import compressed
+from omniocc.data.augment.degrade import compress_jpeg
 
 OFF = dict.fromkeys(
     ("exposure", "gamma", "white_balance", "grey", "blur_px", "noise", "vignette", "glare", "jpeg", "missing"), 0.0
@@ -86,5 +86,5 @@ def test_jpeg_treats_red_and_blue_as_cameras_do():
         image = torch.zeros(1, 3, 16, 16)
         image[:, channel] = pattern
         pixels = (image[0].permute(1, 2, 0) * 255).round().byte().numpy()
-        expected = torch.from_numpy(compressed(pixels, 30)).permute(2, 0, 1)[None] / 255
+        expected = torch.from_numpy(compress_jpeg(pixels, 30)).permute(2, 0, 1)[None] / 255
         torch.testing.assert_close(_jpeg(image, 30), expected)

@@ -198,7 +198,7 @@ def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()
-    depth = DepthStage(Parts(cfg), data, followed=True)
+    depth = DepthStage(Parts(cfg), data, has_reader=True)
     depth.run("depth")
     figures = SketchStage(Parts(cfg), data, [depth]).run("sketch")
     assert 0 <= figures["test/sketch/recall"] <= 1

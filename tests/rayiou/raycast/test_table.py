@@ -64,7 +64,7 @@ def test_single_rays(grid, occupancy, table):
     directions[:200, :2] = 0  # vertical
     directions[200:400, 2] = 0  # level
     labels = random_labels(grid, occupancy, generator)
-    rays, expected = table(grid, RayFans.single(origins, directions)), first_hits(grid, labels, origins, directions)
+    rays, expected = table(grid, RayFans.from_rays(origins, directions)), first_hits(grid, labels, origins, directions)
     for _ in range(3):  # the columns are found, found and kept, and reused
         hits = rays.cast(labels)
         check_same(hits, expected)
@@ -126,7 +126,7 @@ def test_error_names_wrong_input():
     with pytest.raises(ValueError, match=r"labels.*\(24, 30, 6\).*\(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
     with pytest.raises(ValueError, match=r"48 levels.*\(2, 2, 49\)"):
-        RayTable(Cuboid(shape=(2, 2, 49)), RayFans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+        RayTable(Cuboid(shape=(2, 2, 49)), RayFans.from_rays(torch.zeros(1, 3), torch.ones(1, 3)))
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e300])

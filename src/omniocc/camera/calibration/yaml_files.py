@@ -24,7 +24,7 @@ from omniocc.camera.calibration.fields import (
     size,
     whole,
 )
-from omniocc.camera.calibration.ocamcalib import counted
+from omniocc.camera.calibration.ocamcalib import drop_count
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.eucm import EUCM
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
@@ -160,8 +160,8 @@ def _omnimvs_camera(entry: dict[str, Any]) -> OCam:
         width,
         height,
         (center_column, center_row),
-        counted("poly", row(entry, None, "poly")),
-        counted("inv_poly", row(entry, None, "inv_poly")),
+        drop_count("poly", row(entry, None, "poly")),
+        drop_count("inv_poly", row(entry, None, "inv_poly")),
         tuple(row(entry, 3, "affine")),
         max_angle_deg=number(entry, "max_fov") / 2,
     )

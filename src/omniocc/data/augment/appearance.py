@@ -152,5 +152,5 @@ def compressed(images: Images, probability: float, generator: torch.Generator) -
 
 def _jpeg(images: Float[Tensor, "N 3 H W"], quality: int) -> Float[Tensor, "N 3 H W"]:
     pixels = (images.detach().cpu() * 255).round().byte().permute(0, 2, 3, 1).numpy()
-    decoded = np.stack([degrade.compressed(one, quality) for one in pixels])
+    decoded = np.stack([degrade.compress_jpeg(one, quality) for one in pixels])
     return torch.from_numpy(decoded).permute(0, 3, 1, 2).to(images) / 255

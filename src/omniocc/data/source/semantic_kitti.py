@@ -1,4 +1,4 @@
-"""SemanticKITTI's semantic scene completion as a source: two cameras ahead, voxels of .2 m, the invalid mask."""
+"""Read SemanticKITTI's semantic scene completion: images of two cameras ahead, voxels of 0.2 m, the invalid mask."""
 
 import re
 import warnings
@@ -33,27 +33,27 @@ from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
 
 CAMERAS = ("image_2", "image_3")
-OFF_CENTRE = 0.25
-"""Distance of the principal point from the middle of an image, as a fraction of its size, in no camera of KITTI."""
-WHENCE = {
+MAX_CENTER_OFFSET = 0.25
+"""Distance from the middle of an image to its principal point, as a fraction of its size; in KITTI it is less."""
+ARCHIVES = {
     "calib.txt": "KITTI odometry's archive of Velodyne scans",
     "poses.txt": "SemanticKITTI's archive of labels",
     "voxels": "SemanticKITTI's archive of voxels",
     **dict.fromkeys(CAMERAS, "KITTI odometry's archive of colour images"),
 }
-"""Archive that holds each file or folder of a sequence."""
+"""The archive that holds each file or folder of a sequence."""
 
 
 class SemanticKITTI(CompletionSource["KittiSequence"]):
-    """A source (`SceneSource`) of the frames of KITTI odometry that have voxels: every fifth.
+    """A source (`SceneSource`) of every fifth frame of KITTI odometry: those that have voxels.
 
-    Sequence 08, the official validation, is the test, since results are published on it. Labels of 11 to 21 are secret:
-    these sequences can be predicted (`predict.py submission`), but not scored. Of the training sequences 04 is kept for
-    validation.
+    Sequence 08, the official validation, is the test, since results are published on it. Sequence 04 is kept from
+    training for validation. The labels of sequences 11 to 21 are secret: these can be predicted
+    (`predict.py submission`), but not scored.
 
     Args:
-        root: folder with `sequences/00` and so on, each with calib.txt (of the Velodyne archive), poses.txt, voxels,
-            image_2, image_3 and velodyne; point labels are optional.
+        root: folder with `sequences/00` and so on, each with calib.txt (of the Velodyne archive), poses.txt, voxels and
+            the folders of `cameras`; velodyne (scans) and labels (of points) are optional.
         sequences: numbers of the sequences of train, val and test.
         cameras: folders of the images: image_2 (left), image_3 (right).
         image_width: see `CompletionSource`.
@@ -61,7 +61,7 @@ class SemanticKITTI(CompletionSource["KittiSequence"]):
         cache: see `CompletionSource`.
 
     Raises:
-        ValueError: if a camera, a split or the width is impossible.
+        ValueError: if a camera, a split or the width is not allowed.
     """
 
     classes = SEMANTIC_KITTI
@@ -82,39 +82,39 @@ class SemanticKITTI(CompletionSource["KittiSequence"]):
 
     @cached_property
     def grid(self) -> Cuboid:
-        """Return the voxels in the velodyne frame; warn if they are of the first release, one cell too high."""
+        """Return the voxel grid, velodyne frame; warn if the files are of the first release, one cell too high."""
         files = [path for scene in list(self.all_scenes.values())[:3] for path in scene.occupied_files[:3]]
         masks = [path for path in files if path.exists()]
-        first = bool(masks) and is_first_release(np.stack([read_mask(path) for path in masks]))
-        if first:
+        first_release = bool(masks) and is_first_release(np.stack([read_mask(path) for path in masks]))
+        if first_release:
             warnings.warn(
                 f"{self.root}: the voxels are of SemanticKITTI's first release, one cell too high; they are moved down",
                 stacklevel=2,
             )
-        return voxel_grid(first)
+        return voxel_grid(first_release)
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the frames of every sequence, of cameras and sizes."""
+        """Return a hash of the frames of every sequence, the cameras, the sizes and the grid."""
         return digest([self.frames, self.cameras, self.image_width, repr(self.panorama), repr(self.grid)])
 
     def prepare(self) -> None:
-        """Check that the sequences are there.
+        """Check that every sequence has its files, and labels unless it is tested only.
 
         Raises:
             DataError: naming what is missing or wrong.
         """
         check_root(self.root, ["sequences"], "give the folder that holds SemanticKITTI's 'sequences'")
-        problems = [line for name, scene in self.all_scenes.items() for line in self._problems(name, scene)]
+        problems = [line for name, scene in self.all_scenes.items() for line in self._find_problems(name, scene)]
         if problems:
             raise DataError("\n".join(problems))
 
-    def _problems(self, name: str, scene: "KittiSequence") -> Iterator[str]:
+    def _find_problems(self, name: str, scene: "KittiSequence") -> Iterator[str]:
         wanted = ["calib.txt", "poses.txt", "voxels", *self.cameras]
         for part in (part for part in wanted if not (scene.folder / part).exists()):
-            yield f"{scene.folder / part} is missing: unpack {WHENCE[part]} into data.source.root"
+            yield f"{scene.folder / part} is missing: unpack {ARCHIVES[part]} into data.source.root"
         if (scene.folder / "voxels").is_dir() and not len(scene):
-            yield f"{scene.folder / 'voxels'}: there are no *.label or *.bin files; unpack {WHENCE['voxels']}"
+            yield f"{scene.folder / 'voxels'}: there are no *.label or *.bin files; unpack {ARCHIVES['voxels']}"
         if len(scene) and not scene.labelled and name not in self.sequences["test"]:
             yield f"{scene.folder / 'voxels'}: there are no *.label files, from which training and validation learn"
 
@@ -135,22 +135,22 @@ class KittiSequence(CompletionScene):
 
     @property
     def cells_up(self) -> int:
-        """Return 1 if this copy is of the first release, whose voxels lie one cell too high."""
+        """Return 1 if the files are of the first release, whose voxels lie one cell too high; else 0."""
         return int(self.source.grid != voxel_grid())
 
     @cached_property
     def numbers(self) -> list[int]:
-        """Return the numbers of the frames with voxel labels; where these are secret, with occupied voxels."""
-        return self._numbered("label") or self._numbered("bin")
+        """Return the numbers of the frames with voxel labels; of those with occupied voxels where labels are secret."""
+        return self._frame_numbers("label") or self._frame_numbers("bin")
 
     @cached_property
     def labelled(self) -> bool:
-        """Return whether voxel labels are there."""
-        return bool(self._numbered("label"))
+        """Return whether the sequence has voxel labels."""
+        return bool(self._frame_numbers("label"))
 
     @property
     def occupied_files(self) -> list[Path]:
-        """Return the files of the voxels that the single scans hit."""
+        """Return the `.bin` file of every frame: the voxels that its own scan hits."""
         return [self._file("voxels", frame, "bin") for frame in range(len(self))]
 
     @cached_property
@@ -160,7 +160,7 @@ class KittiSequence(CompletionScene):
 
     @cached_property
     def world_from_ego(self) -> np.ndarray:
-        """Return the pose of the velodyne in every frame."""
+        """Return the pose of the velodyne in every frame that has voxels."""
         path = self.folder / "poses.txt"
         poses = read_poses(path, rigid(self.calibration["Tr"], "Tr"))
         if self.numbers and self.numbers[-1] >= len(poses):
@@ -169,7 +169,7 @@ class KittiSequence(CompletionScene):
 
     @cached_property
     def sizes(self) -> list[tuple[int, int]]:
-        """Return width and height of each camera's files, which differ from sequence to sequence."""
+        """Return width and height of each camera's images, which differ between sequences."""
         with self.naming(0):
             return [image_size(self._file(camera, 0, "png")) for camera in self.cameras]
 
@@ -178,19 +178,22 @@ class KittiSequence(CompletionScene):
         """Return the cameras, the same in every frame."""
         cameras, poses = [], []
         for name, (width, height) in zip(self.cameras, self.sizes, strict=True):
-            k, pose = camera_of(self.calibration, int(name[-1]))
-            if not (abs(k[0, 2] / width - 0.5) < OFF_CENTRE and abs(k[1, 2] / height - 0.5) < OFF_CENTRE):
+            intrinsics, pose = camera_of(self.calibration, int(name[-1]))
+            focal_px = (float(intrinsics[0, 0]), float(intrinsics[1, 1]))
+            center_px = (float(intrinsics[0, 2]), float(intrinsics[1, 2]))
+            offsets = (abs(center_px[0] / width - 0.5), abs(center_px[1] / height - 0.5))
+            if not all(offset < MAX_CENTER_OFFSET for offset in offsets):
                 raise DataError(
                     f"{self._file(name, 0, 'png')}: the image has {width}x{height} px, but calib.txt has its "
-                    f"middle near ({k[0, 2]:g}, {k[1, 2]:g}) px; it is damaged, or of another sequence"
+                    f"middle near ({center_px[0]:g}, {center_px[1]:g}) px; it is damaged, or of another sequence"
                 )
-            camera = Pinhole(width, height, (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2])))
+            camera = Pinhole(width, height, focal_px, center_px)
             cameras.append(camera.resized(*scaled_size(width, height, self.image_width)))
             poses.append(torch.from_numpy(pose))
         return Rig(tuple(cameras), torch.stack(poses), self.cameras, None, ROAD_Z_M)
 
     def images(self, frame: int) -> list[np.ndarray]:
-        """Return the images, scaled."""
+        """Return the images, scaled to the cameras of the rig."""
         with self.naming(frame):
             return [
                 read_image(self._file(name, frame, "png"), size, (camera.width, camera.height))
@@ -198,7 +201,7 @@ class KittiSequence(CompletionScene):
             ]
 
     def cloud(self, frame: int) -> Cloud | None:
-        """Return the points of the scan, with classes where SemanticKITTI's point labels are there."""
+        """Return the points of the scan, and their classes if the sequence has point labels; None without scans."""
         if not (self.folder / "velodyne").is_dir():
             return None
         with self.naming(frame):
@@ -209,20 +212,20 @@ class KittiSequence(CompletionScene):
         return Cloud(points, labels, np.zeros(3))
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"] | None:
-        """Return the class of every cell; invalid ones are unknown, as the benchmark has it.
+        """Return the class of every cell; None where labels are secret. Invalid cells are unknown, as in the benchmark.
 
-        With `unobserved` free cells that the first scan could not see are unknown too. None where labels are secret.
+        With `unobserved` the free cells of the `.occluded` file are unknown too: the first scan could not see them.
         """
         if not self.labelled:
             return None
         with self.naming(frame):
             labels = self.voxels_of(self._file("voxels", frame, "label"))
-            cells = read_mask(self._file("voxels", frame, "invalid"))
+            unknown = read_mask(self._file("voxels", frame, "invalid"))
             if ignore == "unobserved":
-                cells = cells | (read_mask(self._file("voxels", frame, "occluded")) & (labels == 0))
-        return unknown_where(labels, cells)
+                unknown = unknown | (read_mask(self._file("voxels", frame, "occluded")) & (labels == 0))
+        return unknown_where(labels, unknown)
 
-    def _numbered(self, extension: str) -> list[int]:
+    def _frame_numbers(self, extension: str) -> list[int]:
         found = (re.fullmatch(rf"(\d{{6}})\.{extension}", path.name) for path in (self.folder / "voxels").glob("*"))
         return sorted(int(match[1]) for match in found if match)
 

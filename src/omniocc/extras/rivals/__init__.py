@@ -1,4 +1,4 @@
-"""Parts of other systems: AdaptiveOcc, FlashOcc, FoSOcc and OneOcc, in their style."""
+"""Parts in the style of other systems: AdaptiveOcc, FlashOcc, FoSOcc, MonoScene and OneOcc."""
 
 from omniocc.extras.rivals.bi_grid import BiGrid
 from omniocc.extras.rivals.channel_to_height import ChannelToHeight

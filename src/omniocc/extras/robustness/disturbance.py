@@ -17,7 +17,7 @@ from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras, usable_pixels
 from omniocc.camera.miscalibrated import displaced_rig, turned, with_focal_factors
 from omniocc.camera.ops.pixels import pixel_centers
-from omniocc.data.augment.degrade import Image, blurred, noisy
+from omniocc.data.augment.degrade import Image, add_noise, blur
 from omniocc.data.source import SceneFrames
 
 RigChange = Callable[[Rig, np.random.Generator], Rig]
@@ -78,9 +78,9 @@ def every_image(
 
 
 def noise(images: Sequence[Image], rig: Rig, rng: np.random.Generator, percent: float) -> list[Image]:
-    """Return all images with noise, see `noisy`."""
+    """Return all images with noise, see `add_noise`."""
     del rig
-    return [noisy(image, percent, rng) for image in images]
+    return [add_noise(image, percent, rng) for image in images]
 
 
 def drops_on_one_lens(images: Sequence[Image], rig: Rig, rng: np.random.Generator, percent: float) -> list[Image]:
@@ -204,7 +204,7 @@ def draw_drops(seen: Bool[np.ndarray, "H W"], percent: float, rng: np.random.Gen
 
 def through_drops(image: Image, drops: Drops) -> Image:
     """Return the image as it is seen through drops: inside of them turned upside down, smaller, and out of focus."""
-    soft = blurred(image, BLUR * image.shape[0])
+    soft = blur(image, BLUR * image.shape[0])
     seen = np.asarray(cv2.remap(soft, drops.column, drops.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT))
     cover = drops.cover[..., None]
     mixed = image * (1 - cover) + seen * (cover * drops.shade[..., None])

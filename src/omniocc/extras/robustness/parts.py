@@ -10,7 +10,7 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras, mask_view
-from omniocc.data.augment.degrade import Image, blurred, compressed, exposed
+from omniocc.data.augment.degrade import Image, blur, change_exposure, compress_jpeg
 from omniocc.errors import UserError
 from omniocc.extras.robustness import disturbance as kinds
 from omniocc.extras.robustness.disturbance import Disturbance
@@ -106,14 +106,20 @@ def calibration_parts() -> list[Part]:
 def image_parts() -> list[Part]:
     """Return the parts with worse images."""
     return [
-        *(_each_image(f"exposure_{name}_under", "exposure", partial(exposed, stops=-n)) for n, name in STOPS.items()),
-        *(_each_image(f"exposure_{name}_over", "exposure", partial(exposed, stops=n)) for n, name in STOPS.items()),
+        *(
+            _each_image(f"exposure_{name}_under", "exposure", partial(change_exposure, stops=-n))
+            for n, name in STOPS.items()
+        ),
+        *(
+            _each_image(f"exposure_{name}_over", "exposure", partial(change_exposure, stops=n))
+            for n, name in STOPS.items()
+        ),
         *(
             Part(f"noise_{n}_percent", "noise", Disturbance(images=partial(kinds.noise, percent=n), each_frame=True))
             for n in NOISE_PERCENT
         ),
-        *(_each_image(f"blur_{px:g}_px", "blur", partial(blurred, sigma_px=px)) for px in BLUR_PX),
-        *(_each_image(f"jpeg_quality_{n}", "jpeg", partial(compressed, quality=n)) for n in JPEG_QUALITY),
+        *(_each_image(f"blur_{px:g}_px", "blur", partial(blur, sigma_px=px)) for px in BLUR_PX),
+        *(_each_image(f"jpeg_quality_{n}", "jpeg", partial(compress_jpeg, quality=n)) for n in JPEG_QUALITY),
         *(
             Part(f"{name}_{n}_percent", name, Disturbance(images=partial(change, percent=n)))
             for name, change in ON_ONE_LENS.items()

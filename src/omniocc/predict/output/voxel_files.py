@@ -18,7 +18,7 @@ from omniocc.io import atomic_write
 from omniocc.predict.output.range_files import ply_bytes
 from omniocc.predict.predictor import PredictedFrame
 from rayiou.labels import ids_beyond
-from rayiou.surface import surface, with_area
+from rayiou.surface import drop_flat_faces, extract_surface
 
 VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
 
@@ -142,7 +142,7 @@ class VoxelMesh(NamedTuple):
 
 def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> VoxelMesh:
     """Return the faces of occupied cells towards cells that are not; unknown cells count as empty."""
-    quads, cells = with_area(surface((labels != FREE) & (labels != UNKNOWN), geometry))
+    quads, cells = drop_flat_faces(extract_surface((labels != FREE) & (labels != UNKNOWN), geometry))
     colors = classes.palette[labels.reshape(-1).numpy()[cells]]
     first = 4 * np.arange(len(quads))[:, None, None]
     triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)

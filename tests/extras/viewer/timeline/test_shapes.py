@@ -7,13 +7,13 @@ import torch
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.extras.viewer.timeline.shapes import (
-    LENGTH_M,
+    OUTLINE_M,
     camera_outline,
     class_meshes,
     difference_cells,
     difference_meshes,
     ray_outcomes,
-    shaded,
+    shade_faces,
 )
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import RayIoU, sparseocc_directions
@@ -84,10 +84,10 @@ def test_a_lone_voxel_has_six_faces_and_two_have_ten():
 
 def test_faces_that_look_the_same_way_share_vertices():
     quad = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    mesh = shaded(np.stack([quad, quad + np.array([1, 0, 0])]), (100, 100, 100))
+    mesh = shade_faces(np.stack([quad, quad + np.array([1, 0, 0])]), (100, 100, 100))
     assert len(mesh.points_m) == 6
     assert len(mesh.triangles) == 4
-    edge = shaded(np.stack([quad, quad[:, [0, 2, 1]][::-1]]), (100, 100, 100))
+    edge = shade_faces(np.stack([quad, quad[:, [0, 2, 1]][::-1]]), (100, 100, 100))
     assert len(edge.points_m) == 8  # another brightness
 
 
@@ -97,7 +97,7 @@ def test_outlines_are_the_border_of_what_a_camera_sees(name):
     for k, camera in enumerate(rig.cameras):
         border, *corners = camera_outline(rig, k)
         start = rig.ego_from_camera[k, :3, 3].numpy()
-        assert np.allclose(np.linalg.norm(border - start, axis=1), LENGTH_M)
+        assert np.allclose(np.linalg.norm(border - start, axis=1), OUTLINE_M)
         assert np.array_equal(border[0], border[-1])
         assert all(np.array_equal(line[0], start) for line in corners)
         camera_from_ego = torch.linalg.inv(rig.ego_from_camera[k])

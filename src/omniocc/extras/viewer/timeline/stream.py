@@ -1,4 +1,4 @@
-"""Show the predictions of `predict.py` in a running viewer as they come."""
+"""Show each prediction of `predict.py` in a running viewer as soon as it is made."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -30,11 +30,12 @@ MODEL = "prediction"
 
 
 class VoxelStream:
-    """Shows every prediction of `predict.py occupancy` (`omniocc.predict.job.ShowFrame`)."""
+    """A `ShowFrame` (`omniocc.predict.job`) that logs every frame of `predict.py occupancy`."""
 
     def __init__(self, recording: rr.RecordingStream):
         self.recording = recording
         self.timeline: Timeline | None = None
+        # Frames come scene by scene: those of one scene share its scores, which `frame_figures` resets.
         self.scores = lru_cache(maxsize=1)(scene_scores)
 
     def __call__(
@@ -51,8 +52,8 @@ class VoxelStream:
         if self.timeline is None:
             interval_s = sequence.spec.frame_interval_s if recorded else OWN_INTERVAL_S
             self.timeline = Timeline(self.recording, job.trained.classes, sparseocc_directions(), interval_s)
-        grid, panorama = job.predictor.model.geometry, job.predictor.panorama
-        ranges = None if prediction.range_m is None else panorama
+        grid = job.predictor.model.geometry
+        panorama = None if prediction.range_m is None else job.predictor.panorama
         figures = {}
         if truth is not None and recorded:
             figures = frame_figures(self.scores(grid, sequence.scene), prediction.labels, truth)
@@ -66,13 +67,17 @@ class VoxelStream:
             world_from_ego=None if poses is None else poses[frame].numpy(),
             truth={} if truth is None else {grid: truth.voxels[0]},
             lidar=sequence.scene.lidar(frame) if recorded else None,
-            predictions={MODEL: FramePrediction(prediction.labels, grid, *prediction[1:], ranges, figures=figures)},
+            predictions={
+                MODEL: FramePrediction(
+                    prediction.labels, grid, prediction.candidates, prediction.range_m, panorama, figures=figures
+                )
+            },
         )
         self.timeline.add(shown)
 
 
 class RangeStream:
-    """Shows every panorama of `predict.py depth` (`omniocc.predict.depth.ShowRanges`)."""
+    """A `ShowRanges` (`omniocc.predict.depth`) that logs every panorama of `predict.py depth`."""
 
     def __init__(self, recording: rr.RecordingStream):
         self.timeline = Timeline(recording, WORLD_CLASSES, sparseocc_directions(), OWN_INTERVAL_S)
@@ -86,6 +91,11 @@ class RangeStream:
         panorama: Equirectangular,
     ) -> None:
         """Log one frame."""
-        time_s, at_sizes = self.timeline.count * OWN_INTERVAL_S, rig_at_sizes(rig, images)
-        shown = ShownFrame("", frame.name, time_s, tuple(images), at_sizes)
+        shown = ShownFrame(
+            scene="",
+            frame=frame.name,
+            time_s=self.timeline.count * OWN_INTERVAL_S,
+            images=tuple(images),
+            rig=rig_at_sizes(rig, images),
+        )
         self.timeline.add(shown, {MODEL: (range_m, panorama)})
