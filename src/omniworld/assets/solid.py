@@ -1,4 +1,4 @@
-"""Plain solids of random shape, material and colour, of no known kind: their size does not tell their distance."""
+"""Plain solids of any material, which are nothing in particular: only their shape tells how far away they are."""
 
 from collections.abc import Callable
 from math import pi
@@ -10,19 +10,16 @@ from omniworld.mesh.material import Material
 from omniworld.mesh.mesh import Mesh, transform
 from omniworld.mesh.shape import Color, Skin, blob, box, lathe
 
-_DULL = (
-    Material.GLASS,
-    Material.LAMP,
-)  # left out of random solids: glass is the glossiest material, and a lamp emits light
+_DULL = (Material.GLASS, Material.LAMP)  # no texture
 
 
 def random_material(rng: np.random.Generator) -> Material:
-    """Return any material but glass and lamp."""
+    """Return a material with a texture."""
     return Material(int(rng.choice([material for material in Material if material not in _DULL])))
 
 
 def random_color(rng: np.random.Generator) -> Color:
-    """Return a random colour, neither black nor white."""
+    """Return any colour but the darkest."""
     red, green, blue = rng.integers(30, 250, 3).tolist()
     return red, green, blue
 
@@ -32,16 +29,15 @@ def _skin(rng: np.random.Generator) -> Skin:
 
 
 def _tilted(rng: np.random.Generator, mesh: Mesh) -> Mesh:
-    """Return the solid after a random rotation about the origin."""
+    """Return the solid turned any way up, its middle at the origin."""
     turn = np.eye(4)
     turn[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    # a negative determinant is a reflection, which would turn the faces inside out
     turn[:3, 0] *= np.sign(np.linalg.det(turn[:3, :3]))
     return transform(mesh, turn)
 
 
 def block(rng: np.random.Generator) -> Mesh:
-    """Build a cuboid in any orientation, 0.3 to 3 m long on each side."""
+    """Build a cuboid."""
     size = np.exp(rng.uniform(np.log(0.3), np.log(3.0), 3)).tolist()
     return _tilted(rng, box((size[0], size[1], size[2]), (0.0, 0.0, 0.0), _skin(rng), _skin(rng)))
 
@@ -60,14 +56,14 @@ def ball(rng: np.random.Generator) -> Mesh:
 
 
 def turned(rng: np.random.Generator) -> Mesh:
-    """Build a vase: a random profile turned around the vertical axis."""
+    """Build a vase: a profile of any width turned around an axis."""
     height = float(rng.uniform(0.5, 4.0))
     radius = [0.0, *rng.uniform(0.1, 1.0, 5).tolist(), 0.0]
     return lathe(radius, np.linspace(0, height, len(radius)).tolist(), 12, _skin(rng))
 
 
 def bar(rng: np.random.Generator) -> Mesh:
-    """Build a thin pole that leans by a random angle; it stays upright where the angle is 60 degrees or more."""
+    """Build a thin pole, upright or leaning."""
     length, lean = float(rng.uniform(1.5, 7.0)), float(rng.normal(0, 0.3))
     mesh = lathe([0.06, 0.06, 0.0], [0.0, length, length + 0.01], 6, _skin(rng))
     turn = np.eye(4)
