@@ -39,6 +39,7 @@ class Status:
         rate_hz: units per second; 0 before the first.
         left_s: seconds left, None where unknown.
         text: further details, such as losses.
+        results: folder of the figures, once there are any.
     """
 
     state: Literal["running", "waiting"]
@@ -49,6 +50,7 @@ class Status:
     rate_hz: float = 0.0
     left_s: float | None = None
     text: str = ""
+    results: str = ""
 
     @property
     def rate(self) -> str:

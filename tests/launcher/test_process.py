@@ -18,6 +18,7 @@ from hydra_plugins.process_launcher.launcher import (
     free_slots,
     left_s,
     progress,
+    report,
     run_all,
     stop,
     summary,
@@ -246,3 +247,25 @@ def test_labels_and_log_names_distinguish_jobs():
 def test_zero_jobs_at_a_time_are_refused():
     with pytest.raises(ValueError, match="n_jobs=0"):
         ProcessLauncher(n_jobs=0, force=False)
+
+
+def test_a_multirun_ends_with_the_scores_of_its_jobs(tmp_path, capsys):
+    code = f"import sys; sys.path.insert(0, {str(SRC)!r})\n" + (
+        "from pathlib import Path\nfrom omniocc.runs.results import save_results, show_results\n"
+        "folder = Path({folder!r})\nfolder.mkdir(parents=True)\n"
+        "save_results(folder, {{'test/rayiou': {score}, 'test/voxel/miou': float('nan')}}, {{}})\nshow_results(folder)"
+    )
+    scores = {"mono": 0.125, "omni": 0.25}
+    jobs = [
+        job(tmp_path, row, code.format(folder=str(tmp_path / "runs" / row), score=score))
+        for row, score in scores.items()
+    ]
+    jobs.append(job(tmp_path, "without", ""))
+    run_all(jobs, 3)
+    report(jobs)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines if line.startswith(("mono", "omni", "without"))] == [
+        ["mono", "0.125"],
+        ["omni", "0.250"],
+    ]
+    assert f"python src/report.py --runs {tmp_path / 'runs'}" in "\n".join(lines)

@@ -79,11 +79,32 @@ def jobs_of(folder: Path, job_overrides: Sequence[Sequence[str]], first: int, mo
 
 
 def report(jobs: Sequence[Job]) -> None:
-    """Print how many jobs finished, and how the others ended; end this process with exit code 1 if there are any."""
+    """Print the scores of the jobs that finished and how the others ended; exit with code 1 if there are others."""
     failed = [job for job in jobs if job.code != 0]
-    print(summary(jobs, failed), flush=True)
+    print(f"{scores(jobs)}{summary(jobs, failed)}", flush=True)
     if failed:
         sys.exit(1)
+
+
+def scores(jobs: Sequence[Job]) -> str:
+    """Return the scores of finished jobs as a table with the command that compares them; empty where none has any."""
+    from omniocc.runs.results import MINUTES, load_results  # Hydra imports this module at every start of a script
+    from omniocc.runs.table import comparison_cells, in_columns
+
+    folders = {
+        job.label: Path(job.status.results) for job in jobs if job.code == 0 and job.status and job.status.results
+    }
+    results = {label: load_results(folder) for label, folder in folders.items()}
+    results = {label: (facts, metrics) for label, (facts, metrics) in results.items() if "test/rayiou" in metrics}
+    if not results:
+        return ""
+    head, lines = comparison_cells({label: (metrics, "test") for label, (_, metrics) in results.items()})
+    minutes = [f"{facts[MINUTES]:.0f}" if MINUTES in facts else "–" for facts, _ in results.values()]
+    table = in_columns(
+        ["job", *head[1:], "minutes"], [[*line, each] for line, each in zip(lines, minutes, strict=True)]
+    )
+    runs = folders[next(iter(results))].parent
+    return f"\n{table}\n\nmeans over seeds, errors and plots: python src/report.py --runs {runs}\n\n"
 
 
 def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:

@@ -10,6 +10,7 @@ from typing import Any
 from omniocc.config import fits
 from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
+from omniocc.progress import Status, write_status
 from omniocc.runs.folder import IMAGES, METRICS, git_commit
 from omniocc.runs.table import ORIGINS, as_markdown, as_text
 
@@ -113,10 +114,11 @@ def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:
 
 
 def show_results(folder: Path) -> None:
-    """Print the table of a finished run and where its files are."""
+    """Print the table of a finished run and where its files are; report the folder to the parent process."""
     facts, metrics = load_results(folder)
     table = as_text(metrics, facts.get(PROTOCOL, {})).strip("\n")
     print(f"\n{table or 'No test frame has labels, so nothing is scored.'}\n")
     images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
     lines = [f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}"]
     print("\n".join([*lines, *(f"image     {path}" for path in images)]), flush=True)
+    write_status(Status("running", "finished", results=str(folder.resolve())))
