@@ -4,12 +4,12 @@ from omniocc.model.lifter.coarse_coloring import CoarseColoring
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 from omniocc.model.lifter.pillar import Pillar
-from omniocc.model.protocols import GuessesRanges, Lifter
+from omniocc.model.protocols import PredictsRanges, Lifter
 
 __all__ = [
     "CoarseColoring",
     "Coloring",
-    "GuessesRanges",
+    "PredictsRanges",
     "LiftSplat",
     "Lifter",
     "Pillar",
