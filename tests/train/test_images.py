@@ -31,7 +31,7 @@ class FakeModel:
         assert bool((range_m[valid] > 0).all())
         return torch.zeros(1, 2, *GRID.shape)
 
-    def above_threshold(self, logits):
+    def undilated_candidates(self, logits):
         return logits[:, 0] > 1
 
 

@@ -18,7 +18,7 @@ from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, FrameC
 from omniocc.geometry import Grid
 
 NAN = float("nan")
-ABSENT: dict[str, float | bool] = {
+FILL_VALUES: dict[str, float | bool] = {
     "images": 0,
     "voxels": UNKNOWN,
     "own_voxels": UNKNOWN,
@@ -34,11 +34,11 @@ ABSENT: dict[str, float | bool] = {
     "erp_range_m": NAN,
     "camera_range_m": NAN,
 }
-"""The values in a batch where a sample has none: they give no loss and no score."""
+"""What a batch holds where a sample has no value or ends sooner than others: it gives no loss and no score."""
 
 
 class Sample(NamedTuple):
-    """One window; fields as in `omniocc.batch.Batch`, without its first axis."""
+    """One window; fields as in `omniocc.batch.Batch`, without the axis of samples."""
 
     images: UInt8[Tensor, "T N 3 H W"]
     rigs: tuple[Rig, ...]
@@ -67,15 +67,15 @@ class Needs(NamedTuple):
     """The parts of a sample that are used; nothing else is read and decoded.
 
     Attributes:
-        images: of the window; without them it has no cameras.
-        voxels: of the newest frame, as all further parts but candidates and evidence.
-        pixel_labels: classes of the pixels.
-        scores: hits of the LiDAR, and the truth of the dataset's own protocol.
-        panorama: true ranges around the ego origin.
-        camera_ranges: true range of every pixel.
-        depth: panoramas that the depth stage predicted.
-        candidates: voxels that the sketch stage chose.
-        evidence: what it knows of every voxel.
+        images: images of all frames of the window; if false, the sample's `images` have no cameras.
+        voxels: class of every cell in the newest frame.
+        pixel_labels: classes of the newest frame's pixels.
+        scores: the newest frame's LiDAR scan, truth on the dataset's own grid, and starts of RayIoU's rays.
+        panorama: true ranges around the newest frame's ego origin.
+        camera_ranges: true range of the newest frame's pixels.
+        depth: panorama that the depth stage predicted for the newest frame.
+        candidates: voxels that the sketch stage chose in every frame of the window.
+        evidence: what the sketch stage knows of every voxel in every frame of the window.
     """
 
     images: bool = True
@@ -95,16 +95,16 @@ class WindowDataset(Dataset):
     Frames before a scene's first are replaced by the first, and marked as missing in `exists`.
 
     Args:
-        scenes: whose frames are the samples, in order.
+        scenes: scenes whose frames are the samples, in order.
         voxels: labels of the grid.
         window: T.
         needs: parts of the samples to read.
-        own_rays: whether every frame's LiDAR has rays of its own, so that samples hold them.
-        origins: from where the rays of RayIoU start.
-        scored_grid: grid of the scores, within which `trajectory` looks for origins.
+        own_rays: whether the LiDAR's rays differ from frame to frame, so that every sample holds them.
+        origins: where the rays of RayIoU start.
+        scored_grid: grid of the scores, within which `origins="trajectory"` looks for starts.
 
     Raises:
-        ValueError: if the window is empty, or there are origins to look for and no grid.
+        ValueError: if the window is shorter than 1 frame, or `origins="trajectory"` has no `scored_grid`.
     """
 
     def __init__(
@@ -144,27 +144,29 @@ class WindowDataset(Dataset):
         scene, newest = self.locate(index)
         frames, needs = window_frames(newest, self.window), self.needs
         labels = scene.pixel_labels(newest) if needs.pixel_labels else None
+        # a disturbed rig does not change which cells were observed
+        labelled = getattr(scene, "undisturbed", scene)
         panorama = scene.erp_range_m(newest) if needs.panorama else None
         ranges = scene.camera_range_m(newest) if needs.camera_ranges else None
-        ranges = ranges and [measured(range_m) for range_m in ranges]
+        ranges = ranges and [mark_unmeasured(range_m) for range_m in ranges]
         return Sample(
             images=read_window(scene, frames) if needs.images else torch.zeros(self.window, 0, 3, 1, 1).byte(),
             rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
-            voxels=self.voxels.read(getattr(scene, "undisturbed", scene), newest) if needs.voxels else None,
-            **(self._benchmark(scene, newest) if needs.scores else {}),
-            pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
-            **(self._lidar(scene, newest) if needs.scores else {}),
-            erp_range_m=None if panorama is None else torch.from_numpy(measured(panorama)),
-            camera_range_m=None if ranges is None else stack_cameras(ranges, ABSENT["camera_range_m"]),
+            voxels=self.voxels.read(labelled, newest) if needs.voxels else None,
+            **(self._read_benchmark(scene, newest) if needs.scores else {}),
+            pixel_labels=None if labels is None else stack_cameras(labels, FILL_VALUES["pixel_labels"]),
+            **(self._read_lidar(scene, newest) if needs.scores else {}),
+            erp_range_m=None if panorama is None else torch.from_numpy(mark_unmeasured(panorama)),
+            camera_range_m=None if ranges is None else stack_cameras(ranges, FILL_VALUES["camera_range_m"]),
             depth_range_m=needs.depth and needs.depth.read(scene, newest),
             candidates=needs.candidates and read_frames(needs.candidates, scene, frames),
             evidence=needs.evidence and read_frames(needs.evidence, scene, frames),
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
 
-    def _benchmark(self, scene: SceneFrames, frame: int) -> dict[str, Tensor | None]:
+    def _read_benchmark(self, scene: SceneFrames, frame: int) -> dict[str, Tensor | None]:
         truth = self.voxels.benchmark(scene, frame)
         parts = {} if truth is None else {"own_voxels": truth.voxels, "scored": truth.scored}
         own = None if truth is None else truth.ray_origins
@@ -173,7 +175,7 @@ class WindowDataset(Dataset):
             parts |= {"ray_origins": origins.positions_m.float(), "ray_times": origins.times}
         return parts
 
-    def _lidar(self, scene: SceneFrames, frame: int) -> dict[str, Tensor]:
+    def _read_lidar(self, scene: SceneFrames, frame: int) -> dict[str, Tensor]:
         scan = scene.lidar(frame)
         if scan is None:
             return {}
@@ -185,7 +187,7 @@ class WindowDataset(Dataset):
         return {name: torch.from_numpy(part) for name, part in parts.items()}
 
 
-def measured(range_m: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+def mark_unmeasured(range_m: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Return ranges, m, with nan where nothing came back, which some sources write as 0 or -1."""
     return np.where(range_m > 0, range_m, np.float32(np.nan)) if (range_m <= 0).any() else range_m
 
@@ -196,7 +198,7 @@ def window_frames(newest: int, window: int) -> list[int]:
 
 
 def pad_stack(parts: Sequence[Tensor], fill: float | bool) -> Tensor:
-    """Stack tensors of one rank and type along a new first axis, padded with `fill` at the end of every axis."""
+    """Stack tensors of one rank and type along a new first axis; smaller ones end in `fill` along every axis."""
     shape = torch.tensor([part.shape for part in parts]).amax(0).tolist()
     if all(list(part.shape) == shape for part in parts):
         return torch.stack(list(parts))
@@ -212,14 +214,14 @@ def stack_cameras(arrays: Sequence[np.ndarray], fill: float | bool) -> Tensor:
 
 
 def read_images(scene: SceneFrames, frame: int) -> UInt8[Tensor, "N 3 H W"]:
-    """Return the images of all cameras in a frame, channels last in memory, as they are decoded."""
-    return stack_cameras(scene.images(frame), ABSENT["images"]).permute(0, 3, 1, 2)
+    """Return the images of all cameras in a frame; in memory the channels stay last, as they are decoded."""
+    return stack_cameras(scene.images(frame), FILL_VALUES["images"]).permute(0, 3, 1, 2)
 
 
 def read_window(scene: SceneFrames, frames: Sequence[int]) -> UInt8[Tensor, "T N 3 H W"]:
-    """Return the images of some frames, channels last in memory; a frame that occurs twice is decoded once."""
+    """Return the images of some frames, with the channels last in memory; a repeated frame is decoded once."""
     images = {frame: read_images(scene, frame) for frame in set(frames)}
-    return channels_first(pad_stack([channels_last(images[frame]) for frame in frames], ABSENT["images"]))
+    return channels_first(pad_stack([channels_last(images[frame]) for frame in frames], FILL_VALUES["images"]))
 
 
 def read_frames(cache: FrameCache, scene: SceneFrames, frames: Sequence[int]) -> Tensor:
@@ -241,8 +243,8 @@ def collate(samples: Sequence[Sample]) -> Batch:
     """Stack samples along a new first axis; pad where sizes differ, fill where some have no value (see `Batch`)."""
     columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
     rigs, frame_ids = columns.pop("rigs"), columns.pop("frame_id")
-    images = channels_first(pad_stack([channels_last(part) for part in columns.pop("images")], ABSENT["images"]))
-    stacked = {name: _stack(column, ABSENT.get(name)) for name, column in columns.items()}
+    images = channels_first(pad_stack([channels_last(part) for part in columns.pop("images")], FILL_VALUES["images"]))
+    stacked = {name: _stack(column, FILL_VALUES.get(name)) for name, column in columns.items()}
     return Batch(images=images, rigs=rigs, frame_ids=frame_ids, **stacked)  # type: ignore[arg-type]
 
 

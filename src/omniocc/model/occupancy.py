@@ -19,8 +19,8 @@ from omniocc.model.protocols import (
     Backbone,
     CoarseLogits,
     Extras,
-    GuessesRanges,
     Lifter,
+    PredictsRanges,
     Refiner,
     SemanticHead,
     Sketch,
@@ -245,7 +245,7 @@ class OccupancyModel(nn.Module):
         volumes = [*past, newest.volume]
         logits, extras = self.fuse(volumes, window.world_from_ego, window.exists, newest.sketched, known)
         ranges = None
-        if with_ranges and isinstance(self.lifter, GuessesRanges):
+        if with_ranges and isinstance(self.lifter, PredictsRanges):
             ranges = self.lifter.range_logits(newest.features)
         coarse_logits = newest.extras.coarse_logits + extras.coarse_logits
         return Prediction(logits, pixel_logits, ranges, coarse_logits, extras.run_lengths)

@@ -30,7 +30,7 @@ class Sketched(NamedTuple):
 
     Attributes:
         candidates: voxels that are worth colouring.
-        bits: of the evidence of every voxel, see `omniocc.model.ops.evidence`; None if the sketch has none.
+        bits: evidence of every voxel in eight bits, see `omniocc.model.ops.evidence`; None if the sketch has none.
     """
 
     candidates: Bool[Tensor, "B *T X Y Z"]
@@ -44,16 +44,16 @@ class Sketched(NamedTuple):
 
 
 Fields = TypeVar("Fields", bound=tuple)
-"""Of tensors that have the samples along their first axis; some may be None."""
+"""A named tuple of tensors that have the samples along their first axis; some may be None."""
 
 
 def part_of(fields: Fields, *index: Any) -> Fields:
-    """Return the part of every field at an index of the leading axes."""
+    """Return every field at an index of its leading axes."""
     return type(fields)(*(None if field is None else field[index] for field in fields))  # type: ignore[arg-type]
 
 
 def concatenate(parts: Sequence[Fields]) -> Fields:
-    """Return one batch of several, which have the same fields."""
+    """Return one batch with the samples of several; a field must be None in all of them or in none."""
     columns = zip(*parts, strict=True)
     return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore
 
@@ -74,7 +74,7 @@ class Extras(NamedTuple):
     """What a lifter or a refiner predicts besides its volume; only losses read it.
 
     Attributes:
-        coarse_logits: of coarser grids.
+        coarse_logits: classes on coarser grids.
         run_lengths: fractions of each axis's cells that follow a voxel with the same class, in the order of
             `omniocc.loss.RunLengths`; None if they are not predicted.
     """
@@ -107,7 +107,7 @@ class Learns(Protocol):
 
 
 def learns(option: type) -> bool:
-    """Return whether a class of the depth or sketch slot is trained in a stage of its own; nothing is built."""
+    """Return whether a class of the depth or sketch slot is trained in a stage of its own; needs no object of it."""
     return issubclass(option, Learns)
 
 
@@ -116,7 +116,8 @@ class Backbone(Protocol):
     """Turn camera images into a pyramid of feature maps.
 
     Attributes:
-        PRETRAINED: arguments that only load pretrained weights, None where a checkpoint is loaded afterwards.
+        PRETRAINED: constructor arguments that only load pretrained weights; they are set to None if a checkpoint is
+            loaded afterwards.
         channels: of every map.
         levels: strides of the maps, px, finest first: an image of height H has a map of ceil(H / stride) rows.
     """
@@ -134,7 +135,7 @@ class Backbone(Protocol):
 class Depth(Protocol):
     """Estimate a panorama of ranges in the ego frame.
 
-    An option that finds ranges where two or more cameras look says so by `COMPARES_CAMERAS = True`.
+    An option that finds ranges by comparing cameras says so by `COMPARES_CAMERAS = True`.
 
     Attributes:
         NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.
@@ -145,7 +146,7 @@ class Depth(Protocol):
     panorama: Equirectangular
 
     def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres to which the indices of depth maps refer for a rig."""
+        """Return the spheres of a rig, to which `DepthMap.index` refers."""
         ...
 
     def __call__(self, images: Images, rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None) -> DepthMap:
@@ -187,7 +188,7 @@ class Calibrates(Protocol):
     def calibrate(
         self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]
     ) -> None:
-        """Fit the confidence to rays of this confidence and range, which are right or not."""
+        """Fit the confidence, from its present value and the range (m) of each ray, and whether that range is right."""
         ...
 
 
@@ -211,7 +212,7 @@ class LearnedSketch(Sketch, Learns, Protocol):
     Ask `learns(type(sketch))` instead of `isinstance`, which from Python 3.12 on does not see `depth` as a submodule.
 
     Attributes:
-        SELECTION: constructor arguments that choose among probabilities; the weights do not depend on them.
+        SELECTION: constructor arguments of the choice by probabilities; the weights do not depend on them.
         geometry: the voxel grid.
         depth: source of the ranges, frozen.
         panorama: directions of the ranges.
@@ -230,7 +231,7 @@ class LearnedSketch(Sketch, Learns, Protocol):
         """Return candidates and evidence, from a panorama of ranges and where they are known."""
         ...
 
-    def above_threshold(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+    def undilated_candidates(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the cells that are candidates before they are dilated."""
         ...
 
@@ -249,7 +250,7 @@ class LearnedSketch(Sketch, Learns, Protocol):
 class Lifter(Protocol):
     """Give the voxels of one frame their features.
 
-    A lifter along rays also has `reach_m`, where they end, m.
+    A lifter along rays also has `reach_m`, the distance at which the rays end, m.
 
     Attributes:
         channels: of the volume.
@@ -263,11 +264,11 @@ class Lifter(Protocol):
 
 
 @runtime_checkable
-class GuessesRanges(Protocol):
+class PredictsRanges(Protocol):
     """A lifter that also predicts a distribution of range for every pixel."""
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
-        """Return scores of bins of range along the rays, at the coarsest map's size."""
+        """Return logits of D range bins for every pixel of the coarsest map."""
         ...
 
 
@@ -277,7 +278,7 @@ class Temporal(Protocol):
 
     Attributes:
         frames: length of the window, the newest frame included.
-        history_gradient: whether past frames are trained through.
+        history_gradient: whether gradients flow through past frames.
     """
 
     frames: int
@@ -288,7 +289,7 @@ class Temporal(Protocol):
     ) -> Float[Tensor, "B C X Y Z"]:
         """Return one volume in the newest frame's ego frame from volumes in each frame's own, oldest first.
 
-        Frames that do not exist, before a scene's first, are ignored; the newest always exists.
+        Frames that do not exist (see `Batch.exists`) are ignored; the newest always exists.
         """
         ...
 

@@ -144,7 +144,7 @@ class SketchImages(FrameImages):
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
         with torch.inference_mode():
-            raw = task.sketch.above_threshold(task.sketch.logits(range_m, valid))[0].cpu()
+            raw = task.sketch.undilated_candidates(task.sketch.logits(range_m, valid))[0].cpu()
         sheet = sketch_sheet(
             list(newest_images(batch, sample)),
             true_voxels(batch, sample, output),

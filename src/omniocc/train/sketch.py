@@ -44,7 +44,7 @@ class SketchTask(StageTask[nn.Module]):
         logits = self.sketch.logits(*panorama(batch))
         candidates = self.sketch.candidates(logits)
         if batch.voxels is not None:
-            self.raw.update(self.sketch.above_threshold(logits), batch.voxels)
+            self.raw.update(self.sketch.undilated_candidates(logits), batch.voxels)
             self.dilated.update(candidates, batch.voxels)
         return candidates
 

@@ -23,18 +23,19 @@ from omniworld.town.site import Plan, Pose2, Signal, Site
 from omniworld.town.terrain import Terrain
 from omniworld.town.theme import Theme
 
+# names of themes
 THEMES: tuple[str, ...] = tuple(theme.name for theme in themes.TOWNS)
 """Places that look like places."""
 ABSTRACT: tuple[str, ...] = tuple(name for name in themes.ALL if name not in THEMES)
 """Places that look like nothing, for networks that are to learn no habits."""
 _CROSSING_FRACTION = 0.5
 _PLAN_RADIUS_M = 300.0
-_SPAN_M, _CLEARANCE_M, _HALF_WIDTH_M = 11.0, 5.4, 4.2
+_SPAN_M, _CLEARANCE_M, _HALF_WIDTH_M = 11.0, 5.4, 4.2  # of the railway's deck
 _CONCRETE = Skin(OTHER, Material.CONCRETE, (150, 148, 142))
 _PILLAR = box((1.3, 1.3, 1.0), (0, 0, 0.5), _CONCRETE)
 _HALL_BELOW_M = 2.0  # walls reach into the ground, which is not level
-_HALL_M = 600.0
-_TREES, _HOUSES, _WOODS = 50, 50, 60
+_HALL_M = 600.0  # side of the ceiling
+_TREES, _HOUSES, _WOODS = 50, 50, 60  # tries in the backdrop
 
 
 @dataclass(frozen=True)
@@ -42,12 +43,12 @@ class Place:
     """A town of about 300 x 300 m around the world's origin.
 
     Attributes:
-        theme: its recipe.
+        theme: recipe of the town.
         mesh: all static faces, world frame.
         terrain: height of the land; kerbs and streets are within 0.15 m of it.
         network: streets and blocks.
         paved: which blocks (rings of the network) have a sidewalk.
-        crossings: (street, at its end) of the junction arms with a zebra crossing.
+        crossings: ends of streets with a zebra crossing: (index of the street, whether at its end, not its start).
         signals: traffic lights; `Traffic` switches their lamps.
     """
 
@@ -61,7 +62,7 @@ class Place:
 
 
 def build(theme: str, seed: int) -> Place:
-    """Build the place (theme, seed): the same bytes every time; raise ValueError if the theme does not exist."""
+    """Build the place (theme, seed), every time the same bytes; raise ValueError if the theme does not exist."""
     if theme not in themes.ALL:
         raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(themes.ALL)}")
     recipe = themes.ALL[theme]
@@ -93,7 +94,7 @@ def build(theme: str, seed: int) -> Place:
 
 
 def islands(theme: Theme, network: Network, site: Site, rng: np.random.Generator) -> Mesh:
-    """Build grass behind a kerb, with shrubs, in the middle of every junction of four streets."""
+    """Build a lawn inside a round kerb, with shrubs, in the middle of every junction of four streets."""
     parts = []
     for (x, y), meeting in zip(network.junctions_m.tolist(), degrees(network), strict=True):
         if meeting < 4 or theme.island_m == 0:
@@ -145,7 +146,7 @@ def medians(theme: Theme, network: Network, terrain: Terrain, site: Site, rng: n
 
 
 def railway(network: Network, site: Site) -> Mesh:
-    """Build a deck on pillars that crosses the middles of parallel streets; it takes the land under it."""
+    """Build a deck on pillars across the town, over the middles of parallel streets; the land under it is taken."""
     count = round(len(network.junctions_m) ** 0.5)
     grid = network.junctions_m.reshape(count, count, 2)
     first, last = grid[0, 1:3].mean(0), grid[-1, 1:3].mean(0)
@@ -154,6 +155,7 @@ def railway(network: Network, site: Site) -> Mesh:
     points = first + steps[:, None] * ahead
     low = site.terrain.height(*points.T)
     level = np.convolve(np.pad(low, 3, "edge"), np.hanning(9)[1:-1] / np.hanning(9).sum(), "valid")
+    # the deck follows the smoothed land, and keeps its clearance over the land itself
     top = np.maximum(level, low) + _CLEARANCE_M
     yaw = float(np.arctan2(ahead[1], ahead[0]))
     for (x, y), ground, deck in zip(points, low, top, strict=True):
@@ -169,7 +171,7 @@ def railway(network: Network, site: Site) -> Mesh:
 
 
 def _deck(points: np.ndarray, top: np.ndarray, left: np.ndarray) -> Mesh:
-    """Build beam, slab and parapets as one profile drawn along the line."""
+    """Build beam, slab and parapets by extruding one profile along the line."""
     w = _HALF_WIDTH_M
     outline = np.array(
         [
@@ -193,7 +195,7 @@ def _deck(points: np.ndarray, top: np.ndarray, left: np.ndarray) -> Mesh:
 
 
 def hall(theme: Theme, network: Network, terrain: Terrain, rng: np.random.Generator) -> Mesh:
-    """Build the walls, some metres behind the kerbs, and one level ceiling, clear of the heads of walkers."""
+    """Build the walls of a hall, some metres behind the kerbs, and one level ceiling, clear of the heads of walkers."""
     ends = [ring.kerb_m for ring in network.rings]
     highest_m = float(terrain.height(*np.concatenate(ends).T).max())
     ceiling_m = highest_m + float(rng.uniform(3.0, 7.0))

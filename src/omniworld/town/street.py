@@ -52,7 +52,7 @@ class _Line:
         return Pose2(0.5 * (ax + bx), 0.5 * (ay + by), atan2(by - ay, bx - ax)).at(0, into_block_m, yaw_rad)
 
     def front(self, along_m: Number, into_block_m: Number) -> Pose2:
-        """Return the pose of a plot's front edge, also a little past the ends of the side."""
+        """Return the pose of a plot's front edge; past the ends of the side it goes straight on."""
         inside = min(max(float(along_m), self._along[0] + 0.5), self._along[-1] - 0.5)
         return self.at(inside, into_block_m).at(along_m - inside, 0.0)
 
@@ -107,6 +107,7 @@ def _furniture(theme: Theme, line: _Line, first: Number, last: Number, site: Sit
 
     def free(s: float, length_m: Number) -> bool:
         low, high = int((s - length_m / 2 - first) / 0.25), int((s + length_m / 2 - first) / 0.25) + 1
+        # nothing within 22 steps of 0.25 m of the corners
         if low < 22 or high > len(taken) - 22 or taken[low:high].any():
             return False
         taken[low:high] = True
@@ -148,7 +149,7 @@ def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, r
 
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:
-    """Put a traffic light (or a sign) where the cars of this side leave it, facing them."""
+    """Put a traffic light (or a sign) at the junction to which the cars of this side drive, facing them."""
     edge, pose = network.edges[line.side.edge], line.at(along_m + 0.6, 0.55)
     meeting = degrees(network)[edge.start if line.side.forward else edge.end]
     if edge.lanes > 1 and meeting > 2:

@@ -7,7 +7,7 @@ import torch
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.data import Augment
-from omniocc.data.augment.augment import Change, change_poses, change_scenes, possible_turns
+from omniocc.data.augment.augment import Change, change_poses, change_scenes, count_turns
 from omniocc.data.augment.image import erase, jitter
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.temporal import Mean
@@ -189,8 +189,8 @@ def test_samples_change_on_their_own(batch, grid):
 def test_turns_take_cells_to_cells_and_columns_to_columns(batch, grid):
     bare = batch._replace(erp_range_m=None, depth_range_m=None)
     expected = {GRIDS["cylinder"]: (4, 20), GRIDS["ring"]: (12, 12), GRIDS["cuboid"]: (4, 4)}[grid]
-    assert (possible_turns(batch, grid), possible_turns(bare, grid)) == expected
-    assert possible_turns(bare, Cuboid((8, 6, 4))) == 1
+    assert (count_turns(batch, grid), count_turns(bare, grid)) == expected
+    assert count_turns(bare, Cuboid((8, 6, 4))) == 1
     for step in range(1, expected[1]):
         changed = change_scenes(bare, grid, [Change(steps=step, parts=expected[1])] * 3)
         assert sorted(changed.evidence[0].flatten().tolist()) == sorted(bare.evidence[0].flatten().tolist())
@@ -239,7 +239,7 @@ def test_flips_and_turns_have_their_probabilities(batch, grid):
     drawn = [(type(rig.cameras[0]).__name__, rig) for rig in rigs]
     fraction = sum(name == "Mirrored" for name, _ in drawn) / 200
     assert fraction == pytest.approx(0.3, abs=0.1)
-    assert len({rig for _, rig in drawn}) == 2 * possible_turns(batch, grid)
+    assert len({rig for _, rig in drawn}) == 2 * count_turns(batch, grid)
 
 
 def test_dropped_frames_are_past_ones_that_existed(batch, grid):

@@ -9,7 +9,7 @@ from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.ops.sketch import pseudo_points
 from omniocc.model.sketch import Dense, Omni, Random, Sketch, learns
-from omniocc.model.sketch.omni import likeliest, occupancy
+from omniocc.model.sketch.omni import choose_likeliest, occupancy
 
 PANORAMA = Equirectangular(24, 12, 45.0, -45.0)
 
@@ -183,7 +183,7 @@ def test_fraction_is_exact_and_dilation_comes_after(geometry):
     assert candidates.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
     step_m = geometry.radial_step_m
     wide = make(geometry, None, 0.2, (0, step_m, 2 * step_m))
-    assert torch.equal(wide.above_threshold(logits), candidates)
+    assert torch.equal(wide.undilated_candidates(logits), candidates)
     assert torch.equal(wide.candidates(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
     assert wide.candidates(logits).sum() > candidates.sum()
     thick = make(geometry, None, 0.2, dilation_behind_m=1.6 * step_m)
@@ -223,21 +223,21 @@ def test_windows_that_do_not_fit_are_named():
 
 def test_the_threshold_itself_is_chosen():
     logits = torch.tensor([[0.0, 0.0], [0.0, -0.1], [0.0, 0.1]]).T.reshape(1, 2, 3, 1, 1)
-    assert make(Cylinder((8, 12, 4)), 0.5).above_threshold(logits).flatten().tolist() == [True, False, True]
+    assert make(Cylinder((8, 12, 4)), 0.5).undilated_candidates(logits).flatten().tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize(("fraction", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
 def test_fraction_is_exact_in_every_sample(fraction, count):
     probability = torch.rand(3, 8, 12, 4)
     probability[1] = 0.5  # all equal
-    chosen = likeliest(probability, fraction)
+    chosen = choose_likeliest(probability, fraction)
     assert chosen.sum((1, 2, 3)).tolist() == [count] * 3
 
 
 def test_fraction_takes_the_likeliest_of_each_sample():
     probability = torch.rand(2, 8, 12, 4)
     probability[1] *= 0.1
-    chosen = likeliest(probability, 0.3)
+    chosen = choose_likeliest(probability, 0.3)
     for sample in range(2):
         assert probability[sample][chosen[sample]].min() > probability[sample][~chosen[sample]].max()
 

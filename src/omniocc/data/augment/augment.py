@@ -17,6 +17,7 @@ from omniocc.data.augment.image import erase, jitter
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 
+# fields of a batch that change in the same way
 IMAGES = ("images", "pixel_labels", "camera_range_m")
 CELLS = ("voxels", "candidates", "evidence")
 PANORAMAS = ("erp_range_m", "depth_range_m")
@@ -27,9 +28,9 @@ class Change(NamedTuple):
     """A flip, then a turn.
 
     Attributes:
-        flip: y becomes -y in the ego frame, for the world and for the car.
-        steps: the ego frame's content turns counter-clockwise by `steps / parts` of a full turn.
-        parts: equal steps of a full turn.
+        flip: whether y becomes -y in the ego frame, for the scene and for the cameras.
+        steps: the scene and the cameras turn counter-clockwise about z by `steps / parts` of a full turn.
+        parts: number of equal steps of a full turn.
     """
 
     flip: bool = False
@@ -50,14 +51,14 @@ class Change(NamedTuple):
         """Return the reflection of y, (4, 4) float64; without a flip the identity."""
         return torch.diag(torch.tensor([1.0, -1.0 if self.flip else 1.0, 1.0, 1.0], dtype=torch.float64))
 
-    def columns(self, values: Tensor) -> Tensor:
-        """Return panoramas (..., W) of the changed scene; their columns run clockwise around the full circle."""
+    def change_panoramas(self, values: Tensor) -> Tensor:
+        """Return the panoramas (..., W) of the changed scene; columns run clockwise around the full circle."""
         values = values.flip(-1) if self.flip else values
         return values.roll(-self.steps * values.shape[-1] // self.parts, -1) if self.steps else values
 
 
-def possible_turns(batch: Batch, geometry: Grid) -> int:
-    """Return the number of equal turns of a circle of which each takes cells to cells and columns to columns."""
+def count_turns(batch: Batch, geometry: Grid) -> int:
+    """Return the most equal steps of a full turn of which each takes cells to cells and columns to columns."""
     (x_cells, y_cells, _), (x, y, _) = geometry.shape, geometry.bounds
     square = x_cells == y_cells and x == y and x[0] == -x[1]
     around = y_cells if geometry.periodic[1] else 4 if square else 1
@@ -66,7 +67,7 @@ def possible_turns(batch: Batch, geometry: Grid) -> int:
 
 
 def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
-    """Mirror each sample or turn the car in it: images, cameras, labels and poses together.
+    """Mirror and turn each sample as `changes` has it: images, cameras, labels and poses together.
 
     Nothing is interpolated: cells go to cells, pixels to pixels.
 
@@ -74,7 +75,7 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     labels are removed, as are the voxels on the dataset's own grid; no loss uses them.
 
     Raises:
-        ValueError: if the grid is not the same on both sides, or after the turn.
+        UserError: if a change does not take every cell of the grid to another cell.
     """
     batch = batch._replace(own_voxels=None, scored=None, ray_origins=None, ray_times=None)
     if batch.lidar_directions is None:
@@ -98,7 +99,7 @@ def change_field(name: str, value: Tensor, change: Change, widths: Tensor, geome
     if name in CELLS:
         return change_cells(value, geometry, change)
     if name in PANORAMAS:
-        return change.columns(value)
+        return change.change_panoramas(value)
     if name in VECTORS:
         return value @ (change.turn @ change.mirror)[:3, :3].T.to(value)
     return change_poses(value, change)
@@ -155,7 +156,7 @@ def change_rig(rig: Rig, change: Change) -> Rig:
     if change == Change():
         return rig
     swap = torch.diag(torch.tensor([-1.0 if change.flip else 1.0, 1.0, 1.0, 1.0], dtype=torch.float64))
-    ego_from_camera = change.turn @ change.mirror @ rig.ego_from_camera @ swap + 0.0
+    ego_from_camera = change.turn @ change.mirror @ rig.ego_from_camera @ swap + 0.0  # makes -0.0 to 0.0
     cameras, masks = rig.cameras, rig.masks
     if change.flip:
         cameras = tuple(mirrored(camera) for camera in cameras)
@@ -173,7 +174,7 @@ class Augment:
     Args:
         geometry: grid of the voxel labels.
         erase_probability: that an image loses a box.
-        erase_fraction: smallest and largest box, as a fraction of the image.
+        erase_fraction: smallest and largest area of a box, as a fraction of the image's.
         erase_aspect: smallest and largest width / height of a box.
         brightness: largest relative change, of every camera of every sample.
         contrast: largest relative change, of every camera of every sample.
@@ -201,7 +202,7 @@ class Augment:
         yaw_probability: float,
         drop_past_probability: float,
     ):
-        units = {
+        fractions = {
             "erase_probability": erase_probability,
             "flip_probability": flip_probability,
             "yaw_probability": yaw_probability,
@@ -210,7 +211,7 @@ class Augment:
             "contrast": contrast,
             "saturation": saturation,
         }
-        for name, value in units.items():
+        for name, value in fractions.items():
             if not 0 <= value <= 1:
                 raise ValueError(f"{name} is {value}; it must be from 0 (off) to 1")
         for name, pair, most in (("erase_fraction", erase_fraction, 1.0), ("erase_aspect", erase_aspect, float("inf"))):
@@ -225,7 +226,7 @@ class Augment:
     def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
         """Return a changed batch, which depends on the state of `generator` (on the CPU), not on the batch's device."""
         if self.flip_probability or self.yaw_probability:
-            batch = change_scenes(batch, self.geometry, self._changes(batch, generator))
+            batch = change_scenes(batch, self.geometry, self._draw_changes(batch, generator))
         if self.drop_past_probability:
             batch = drop_past(batch, self.drop_past_probability, generator)
         images = batch.images
@@ -238,8 +239,8 @@ class Augment:
                 batch = batch._replace(pixel_labels=batch.pixel_labels.masked_fill(erased[:, -1], UNKNOWN))
         return batch._replace(images=images)
 
-    def _changes(self, batch: Batch, generator: torch.Generator) -> list[Change]:
-        parts = possible_turns(batch, self.geometry)
+    def _draw_changes(self, batch: Batch, generator: torch.Generator) -> list[Change]:
+        parts = count_turns(batch, self.geometry)
         size = len(batch.frame_ids)
         flips = torch.rand(size, generator=generator) < self.flip_probability
         turns = torch.rand(size, generator=generator) < self.yaw_probability

@@ -12,7 +12,7 @@ from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, M
 from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
-PROBE_PX = 224
+PROBE_PX = 224  # a multiple of 14 and 32, so that strides of 4 to 32 px and patches of 14 px divide it
 
 
 class Transformers(nn.Module):
@@ -26,18 +26,18 @@ class Transformers(nn.Module):
         sizes: entries of the configuration that differ from the library's default.
         weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
         channels: of the output maps.
-        levels: strides of the output maps, some of the network's, px.
+        levels: strides of the output maps, px, finest first; each is a stride of the network.
 
     Raises:
         ValueError: if there is no such architecture, size or level, or the weights are of another network.
     """
 
-    PRETRAINED: ClassVar = ()  # entries of the configuration come with the weights
+    PRETRAINED: ClassVar = ()  # `weights` also brings entries of the configuration, which a checkpoint needs
 
     def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
         super().__init__()
         self.channels, self.levels = channels, list(levels)
-        self.encoder = build(make_config(architecture, sizes), list(sizes), weights)
+        self.encoder = build_network(make_config(architecture, sizes), list(sizes), weights)
         self.normalize = Normalize(self.encoder)
         maps = probe(self.encoder)
         deepest = {round(PROBE_PX / level.shape[-1]): index for index, level in enumerate(maps)}
@@ -48,6 +48,7 @@ class Transformers(nn.Module):
         self.stages = [deepest[stride] for stride in self.strides]
         in_channels = [maps[stage].shape[1] for stage in self.stages]
         self.fpn = FPN(in_channels, channels, [self.strides.index(level) for level in levels])
+        # the pyramid adds every coarser map to the finest level
         freeze_unused(self.encoder, [maps[stage] for stage in self.stages[self.strides.index(min(levels)) :]])
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
@@ -55,16 +56,16 @@ class Transformers(nn.Module):
         height, width = images.shape[-2:]
         coarsest = self.strides[-1]
         padded = F.pad(self.normalize(images), (0, -width % coarsest, 0, -height % coarsest))
-        found = self.encoder(padded).feature_maps
+        all_maps = self.encoder(padded).feature_maps
         maps = [
-            found[stage][..., : -(-height // stride), : -(-width // stride)]
+            all_maps[stage][..., : -(-height // stride), : -(-width // stride)]
             for stage, stride in zip(self.stages, self.strides, strict=True)
         ]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(maps)]
 
 
 def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
-    """Return the library's configuration, with other sizes.
+    """Return the library's configuration of an architecture, with these sizes.
 
     Raises:
         ValueError: if there is no such architecture or size.
@@ -76,17 +77,19 @@ def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
     unknown = [name for name in sizes if not hasattr(default, name)]
     if unknown:
         raise ValueError(f"{architecture} has no sizes {unknown}; see {type(default).__name__} of transformers")
-    return with_all_stages(AutoConfig.for_model(architecture, **sizes))
+    return request_all_stages(AutoConfig.for_model(architecture, **sizes))
 
 
-def with_all_stages(config: PretrainedConfig) -> PretrainedConfig:
-    """Let a backbone return the maps of all its stages."""
+def request_all_stages(config: PretrainedConfig) -> PretrainedConfig:
+    """Set a configuration so that its backbone returns the maps of all stages; return it."""
     config.out_indices = list(range(len(config.stage_names)))
     return config
 
 
-def build(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
+def build_network(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
     """Return the network with pretrained weights, or with random ones (see `load_or_random`).
+
+    Entries of the configuration that are not in `compared` are taken from the pretrained weights.
 
     Raises:
         ValueError: if the weights are of another network.
@@ -96,13 +99,13 @@ def build(config: PretrainedConfig, compared: list[str], weights: str | None) ->
         found = AutoConfig.from_pretrained(name, local_files_only=local, trust_remote_code=False)
         require_equal(found, config, ["model_type", *compared], name)
         network = MODEL_FOR_BACKBONE_MAPPING[type(config)]
-        return network.from_pretrained(name, config=with_all_stages(found), local_files_only=local)  # type: ignore
+        return network.from_pretrained(name, config=request_all_stages(found), local_files_only=local)  # type: ignore
 
     return load_or_random(weights, load, lambda: AutoBackbone.from_config(config))
 
 
 def probe(encoder: nn.Module) -> list[Tensor]:
-    """Return the maps of a black image without changing running statistics."""
+    """Return the maps of a black image; evaluation mode keeps running statistics as they are."""
     encoder.eval()
     maps = encoder(torch.zeros(1, 3, PROBE_PX, PROBE_PX)).feature_maps
     encoder.train()

@@ -4,13 +4,13 @@ from omniocc.model.lifter.coarse_coloring import CoarseColoring
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 from omniocc.model.lifter.pillar import Pillar
-from omniocc.model.protocols import GuessesRanges, Lifter
+from omniocc.model.protocols import Lifter, PredictsRanges
 
 __all__ = [
     "CoarseColoring",
     "Coloring",
-    "GuessesRanges",
     "LiftSplat",
     "Lifter",
     "Pillar",
+    "PredictsRanges",
 ]

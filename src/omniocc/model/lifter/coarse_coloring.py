@@ -1,4 +1,4 @@
-"""Coloring on a coarser grid."""
+"""`Coloring` on a coarser grid."""
 
 from collections.abc import Sequence
 
@@ -18,13 +18,14 @@ from omniocc.model.protocols import Sketched
 class CoarseColoring(nn.Module):
     """Lift with one query per block of voxels: `Coloring` on the coarser grid, copied to every voxel of a block.
 
-    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output; a refiner
-    that attends among voxels recovers the blocks' features as means. A block is a candidate if one of its voxels is.
+    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output. The refiner
+    `Attention` with `halved` does the latter: the mean of a block of 2x2x2 equal voxels is the block's feature.
+    A block is a candidate if one of its voxels is.
     Other arguments as in `Coloring`.
 
     Args:
         block: cells along each axis of a block.
-        anchors: reference points of a block, as offsets from its centre in blocks, -0.5 to 0.5; see `Coloring`.
+        anchors: reference points of a block, as offsets from its centre in block sides, -0.5 to 0.5; see `Coloring`.
         evidence: whether queries also start from the mean evidence of their block.
 
     Raises:

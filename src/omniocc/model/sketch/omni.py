@@ -22,7 +22,7 @@ def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
     return torch.where(voxels == UNKNOWN, voxels, (voxels != FREE).to(torch.uint8))
 
 
-def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
+def cell_coordinates(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
     """Return the coordinates of each cell along the axes that do not wrap around, from -1 to 1."""
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
@@ -35,7 +35,7 @@ def log_odds(logits: Float[Tensor, "B 2 X Y Z"]) -> Float32[Tensor, "B X Y Z"]:
     return occupied - free
 
 
-def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
+def choose_likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
     """Return the round(fraction * cells) likeliest cells of each sample, ties included in this number."""
     cells = probability.flatten(1)
     chosen = cells.topk(round(fraction * cells.shape[1]), dim=1, sorted=False).indices
@@ -50,15 +50,15 @@ class Omni(nn.Module):
 
     Args:
         depth: ranges of a panorama around the ego origin.
-        point_channels: features of the points in a cell.
-        samples: directions of each cell that are compared with the panorama, along each axis.
+        point_channels: number of features that the points in a cell give it.
+        samples: number of points of each cell along each axis, whose distances are compared with the panorama.
         channels: of each level of the network, finest first; multiples of 8.
         threshold: smallest probability of candidates, above 0 and at most 1; None uses `fraction`.
         fraction: of cells that are candidates, the likeliest first, above 0 and at most 1; None uses `threshold`.
-        dilation_m: distance by which candidates of each band are dilated towards and away from the z axis, rounded to
+        dilation_m: for each band, distance by which candidates are dilated towards and away from the z axis, rounded to
             whole cells; 0: not at all.
-        band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
-        dilation_behind_m: distance by which candidates are further widened, away from the z axis only, rounded to whole
+        band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than `dilation_m`.
+        dilation_behind_m: distance by which candidates are dilated further, away from the z axis only, rounded to whole
             cells.
 
     Raises:
@@ -67,7 +67,7 @@ class Omni(nn.Module):
 
     SELECTION: ClassVar = ("threshold", "fraction", "dilation_m", "band_edges_m", "dilation_behind_m")
 
-    place: Tensor
+    coordinates: Tensor
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class Omni(nn.Module):
             raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
         windows = [round(window_m / geometry.radial_step_m) for window_m in dilation_m]
         behind = round(dilation_behind_m / geometry.radial_step_m)
-        # raises ValueError unless they fit
+        # raises ValueError unless windows and bands fit
         geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m, behind)
         assert isinstance(depth, nn.Module)
         self.geometry = geometry
@@ -100,13 +100,13 @@ class Omni(nn.Module):
         self.depth = depth.requires_grad_(False).eval()
         self.points = PointEncoder(geometry, point_channels)
         self.range_gaps = RangeGaps(geometry, self.panorama, samples)
-        self.register_buffer("place", place_of_cells(geometry), persistent=False)
-        inputs = point_channels + 1 + GAP_CHANNELS + len(self.place)
+        self.register_buffer("coordinates", cell_coordinates(geometry), persistent=False)
+        inputs = point_channels + 1 + GAP_CHANNELS + len(self.coordinates)
         self.network = Cylinder3D(geometry, inputs, channels, 2)
         self.lovasz = Lovasz()
 
     def train(self, mode: bool = True) -> "Omni":
-        """Set the mode, except of depth, which stays in evaluation mode."""
+        """Set the mode of all parts but `depth`, which stays in evaluation mode."""
         super().train(mode)
         self.depth.eval()
         return self
@@ -133,21 +133,21 @@ class Omni(nn.Module):
     ) -> tuple[Float[Tensor, "B 2 X Y Z"], UInt8[Tensor, "B X Y Z"]]:
         encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
         gaps = self.range_gaps(range_m, valid)
-        place = self.place.expand(len(range_m), *self.place.shape)
-        logits = self.network(torch.cat([encoded, hit, gaps, place], dim=1))
+        coordinates = self.coordinates.expand(len(range_m), *self.coordinates.shape)
+        logits = self.network(torch.cat([encoded, hit, gaps, coordinates], dim=1))
         return logits, sight_of(hit[:, 0] > 0, known=gaps[:, 0], gap=gaps[:, 2])
 
-    def above_threshold(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+    def undilated_candidates(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""
         probability = logits.detach().float().softmax(1)[:, 1]
         if self.threshold is not None:
             return probability >= self.threshold
         assert self.fraction is not None
-        return likeliest(probability, self.fraction)
+        return choose_likeliest(probability, self.fraction)
 
     def candidates(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates, dilated."""
-        return self.geometry.dilate(self.above_threshold(logits), self.windows, self.band_edges_m, self.behind)
+        return self.geometry.dilate(self.undilated_candidates(logits), self.windows, self.band_edges_m, self.behind)
 
     def weighted_losses(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]

@@ -12,7 +12,7 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.errors import UserError
 from omniocc.extras.carla_tags import NEW, OLD, class_table, tags_of
 from omniocc.extras.recorders.carla import client
-from omniocc.extras.recorders.carla.frames import smooth
+from omniocc.extras.recorders.carla.frames import on_one_surface
 from omniocc.extras.recorders.carla.sensors import (
     POINT,
     camera_cubes,
@@ -141,7 +141,7 @@ def test_ranges_are_blended_on_planes_only():
     bent = [0.10, 0.11, 0.12, 0.14]
     inverse = np.array([plane, edge, bent, plane], np.float32).T
     tags = np.array([[7] * 4, [7] * 4, [7] * 4, [7, 7, 8, 7]], np.uint8).T
-    assert smooth(inverse, tags).tolist() == [True, False, False, False]
+    assert on_one_surface(inverse, tags).tolist() == [True, False, False, False]
 
 
 def test_the_nearest_face_pixel_is_half_a_pixel_from_its_ray():

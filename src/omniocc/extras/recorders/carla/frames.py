@@ -1,4 +1,4 @@
-"""A frame of ours from what CARLA's sensors sent in one tick."""
+"""Frames as the virtual world's, from what CARLA's sensors send in one tick."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,14 +22,15 @@ from omniworld.scene import ego_box
 from omniworld.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
 from omniworld.traffic.traffic import Actor
 
-BENT, STEP = 0.02, 0.3
-"""Largest deviation from a plane, and largest step, of the four inverse depths that are blended, as fractions."""
+MAX_BEND, MAX_STEP = 0.02, 0.3
+"""Largest deviation from a plane and largest difference of four blended inverse depths, as fractions of the largest."""
 SAME_M, SAME_FRACTION = 0.2, 0.03
-"""Largest difference of a point's range from that in an image which shows it."""
+"""Largest difference between a point's range and the range in an image that shows it; the larger of the two counts."""
 OWN_CAR_M = 0.08
 """Distance from the own car's box up to which surfaces are the own car."""
 ACTOR_CLASSES = {"vehicle": WORLD_CLASSES.names.index("Vehicle"), "walker": WORLD_CLASSES.names.index("Pedestrian")}
 NEAR_M = 80.0
+"""Horizontal distance from the ego origin up to which boxes are kept."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class RawFrame:
     """What the capturing process sends for one tick.
 
     Attributes:
-        number: of the tick, counted by the server.
-        time_s: of the simulation.
+        number: number of the tick, counted by the server.
+        time_s: time of the simulation.
         world_from_vehicle: matrix of the ego vehicle, Unreal's frames.
-        ego_id: actor of the ego vehicle.
+        ego_id: number of the ego vehicle among the actors.
         ego_box: centre and half size of its box, m, in its Unreal frame.
-        actors: of vehicles and walkers, each with id, kind, matrix, center, extent and velocity, Unreal's world frame.
+        actors: vehicles and walkers, each with id, kind, matrix, center, extent and velocity, Unreal's world frame.
         matrices: `world_from_sensor` of every sensor, Unreal's frames.
         raw: bytes of every sensor by name.
     """
@@ -58,7 +59,7 @@ class RawFrame:
 
 
 class CubeImage(NamedTuple):
-    """What the rays of a cube see.
+    """What the P rays of a cube see.
 
     Attributes:
         labels: classes; 0 sky, 255 unlabelled or own car.
@@ -80,7 +81,7 @@ class OwnBox(NamedTuple):
     high: Float64[np.ndarray, "3"]
 
     def holds(self, points_m: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
-        """Return which points (ego frame, m) are of the own car."""
+        """Return which points (ego frame, m) are in the box or near it."""
         return np.all((points_m > self.low - OWN_CAR_M) & (points_m < self.high + OWN_CAR_M), axis=1)
 
 
@@ -103,18 +104,18 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
     colors = np.zeros((6, side, side, 3), np.uint8)
     colored = cube.face_name(lookup.faces[0], "rgb") in raw
     for face in lookup.faces:
-        inverse_depth[face] = inverse_depth_of(_pixels(cube, face, "depth", raw))
-        tags[face] = tags_in(_pixels(cube, face, "semantics", raw))
+        inverse_depth[face] = inverse_depth_of(_read_pixels(cube, face, "depth", raw))
+        tags[face] = tags_in(_read_pixels(cube, face, "semantics", raw))
         if colored:
-            colors[face] = rgb_of(_pixels(cube, face, "rgb", raw))
+            colors[face] = rgb_of(_read_pixels(cube, face, "rgb", raw))
     flat, found = inverse_depth.reshape(-1), classes[tags.reshape(-1)]
     labels = found[lookup.nearest]
-    range_m = blend_ranges(lookup, flat, smooth(flat[lookup.corner], tags.reshape(-1)[lookup.corner]))
+    range_m = blend_ranges(lookup, flat, on_one_surface(flat[lookup.corner], tags.reshape(-1)[lookup.corner]))
     range_m = np.where(labels == FREE, np.inf, range_m)
-    directions = _rays(cube)
-    near = np.isfinite(range_m)
-    points_m = cube.ego_from_cube[:3, 3] + directions * np.where(near, range_m, 1e6)[:, None]
-    car = near & (labels == ACTOR_CLASSES["vehicle"]) & own.holds(points_m)  # the box holds road beside it as well
+    directions = _ego_rays(cube)
+    hit = np.isfinite(range_m)
+    points_m = cube.ego_from_cube[:3, 3] + directions * np.where(hit, range_m, 1e6)[:, None]  # 0 * inf would be nan
+    car = hit & (labels == ACTOR_CLASSES["vehicle"]) & own.holds(points_m)  # the box holds road beside it as well
     rgb = np.einsum("cpk,cp->pk", colors.reshape(-1, 3)[lookup.corner], lookup.weight)
     return CubeImage(
         np.where(car, np.uint8(UNKNOWN), labels),
@@ -124,12 +125,12 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
     )
 
 
-def smooth(inverse_depth: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4 P"]) -> Bool[np.ndarray, " P"]:
+def on_one_surface(inverse_depth: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4 P"]) -> Bool[np.ndarray, " P"]:
     """Return where four pixels see one surface: inverse depths of a plane are linear in the image."""
     largest = inverse_depth.max(axis=0)
-    bent = np.abs(inverse_depth[0] - inverse_depth[1] - inverse_depth[2] + inverse_depth[3])
+    bend = np.abs(inverse_depth[0] - inverse_depth[1] - inverse_depth[2] + inverse_depth[3])
     alike = (tags == tags[0]).all(axis=0)
-    return alike & (bent <= BENT * largest) & (largest - inverse_depth.min(axis=0) <= STEP * largest)
+    return alike & (bend <= MAX_BEND * largest) & (largest - inverse_depth.min(axis=0) <= MAX_STEP * largest)
 
 
 def make_frame(
@@ -143,6 +144,15 @@ def make_frame(
 ) -> tuple[Frame, list[Bool[np.ndarray, "height width"]]]:
     """Return a frame, and the pixels of every camera that show the own car.
 
+    Args:
+        raw: what was sent.
+        first_time_s: time of the scene's first frame, from which times count.
+        rig: cameras of the frame.
+        cameras: cube of each camera.
+        origin: cube around the ego origin (see `origin_cube`).
+        panorama: directions of the ranges around the ego origin.
+        classes: our class of every tag.
+
     Raises:
         ValueError: naming the sensor whose data has another size.
     """
@@ -151,7 +161,7 @@ def make_frame(
     own = own_box(raw, ego_from_vehicle)
     seen = [see(cube, raw.raw, classes, own) for cube in cameras]
     rgb, semantics, range_m, own_car = (
-        [_image(cube, values, outside) for cube, values in zip(cameras, part, strict=True)]
+        [_fill_image(cube, values, outside) for cube, values in zip(cameras, part, strict=True)]
         for part, outside in zip(
             (
                 [image.rgb for image in seen],
@@ -164,7 +174,7 @@ def make_frame(
         )
     )
     around = see(origin, raw.raw, classes, own)
-    split = panorama.height * panorama.width
+    split = panorama.height * panorama.width  # the rays of the LiDAR follow the panorama's
     points_m, labels = points_of(raw, world_from_ego, classes)
     labels = with_road_lines(points_m, labels, rig, semantics, range_m)
     keep = first_of_each(cubes(points_m), labels, np.zeros(SCRATCH, np.int32))
@@ -185,16 +195,16 @@ def make_frame(
 
 
 def vehicle_in_ego(rig: Rig) -> Float64[np.ndarray, "4 4"]:
-    """Return ego_from_vehicle, since CARLA's vehicles have their origin on the road."""
+    """Return `ego_from_vehicle`, a shift down to the road, where CARLA's vehicles have their origin."""
     return shift(0, 0, road_of(rig))
 
 
 def points_of(
     raw: RawFrame, world_from_ego: Float64[np.ndarray, "4 4"], classes: UInt8[np.ndarray, " 256"]
 ) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarray, " P"]]:
-    """Return the points of all LiDARs in the ego frame, m, and their classes, without the own car and unlabelled ones.
+    """Return the points of all LiDARs in the ego frame, m, and their classes.
 
-    Only those within reach of voxels are kept.
+    Points of the own car, unlabelled points and points out of the voxels' reach are left out.
     """
     parts: list[np.ndarray] = [np.empty((0, 3), np.float32)]
     labels: list[np.ndarray] = [np.empty(0, np.uint8)]
@@ -207,7 +217,7 @@ def points_of(
 
 
 def scans_of(raw: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Iterator[tuple[Float64[np.ndarray, "4 4"], Scan]]:
-    """Return `world_from_lidar` (our frames) and the points of every LiDAR, the first one first."""
+    """Yield `world_from_lidar` (right-handed frames) and the points of every LiDAR, in the order in which they came."""
     for name, content in raw.raw.items():
         if name.startswith("lidar/"):
             yield right_handed(np.array(raw.matrices[name])), read_scan(content, classes, raw.ego_id)
@@ -220,7 +230,7 @@ def with_road_lines(
     semantics: list[np.ndarray],
     range_m: list[np.ndarray],
 ) -> UInt8[np.ndarray, " P"]:
-    """Return classes in which points of the road are road lines where an image shows one at that range.
+    """Return the classes, with points of the road as road lines where an image shows a road line at their range.
 
     CARLA's LiDARs see collision meshes, which have no markings (https://github.com/carla-simulator/carla/issues/3638).
     """
@@ -228,23 +238,23 @@ def with_road_lines(
     points = torch.from_numpy(points_m[road]).double()
     for camera in range(len(rig.cameras)):
         pixels, valid = rig.project_into(camera, points)
-        place = np.flatnonzero(valid.numpy())
+        index = np.flatnonzero(valid.numpy())
         column, row = pixels[valid].round().long().numpy().T
         measured = (points[valid] - rig.ego_from_camera[camera, :3, 3]).norm(dim=1).numpy()
         shown = range_m[camera][row, column]
         same = np.abs(shown - measured) < np.maximum(SAME_M, SAME_FRACTION * measured)
-        changed[road[place[same & (semantics[camera][row, column] == ROADLINE)]]] = ROADLINE
+        changed[road[index[same & (semantics[camera][row, column] == ROADLINE)]]] = ROADLINE
     return changed
 
 
 def boxes_of(raw: RawFrame, world_from_ego: Float64[np.ndarray, "4 4"]) -> tuple[Box, ...]:
-    """Return the boxes of vehicles and walkers within 80 m, without the ego vehicle."""
+    """Return the boxes of vehicles and walkers within `NEAR_M`, without the ego vehicle."""
     boxes = [ego_box(actor_of(actor), world_from_ego) for actor in raw.actors if actor["id"] != raw.ego_id]
     return tuple(box for box in boxes if np.hypot(box.center_m[0], box.center_m[1]) <= NEAR_M)
 
 
 def actor_of(sent: dict[str, Any]) -> Actor:
-    """Return a vehicle or walker, as the capturing process sends it, in our frames."""
+    """Return a vehicle or walker that the capturing process sent, in the right-handed frames."""
     x, y, z = sent["center"]
     length, width, height = (2 * float(value) for value in sent["extent"])
     world_from_actor = right_handed(np.array(sent["matrix"])) @ shift(x, -y, z - height / 2)
@@ -252,7 +262,7 @@ def actor_of(sent: dict[str, Any]) -> Actor:
     return Actor(sent["id"], ACTOR_CLASSES[sent["kind"]], world_from_actor, (length, width, height), velocity)
 
 
-def _pixels(cube: Cube, face: int, kind: str, raw: dict[str, bytes]) -> UInt8[np.ndarray, "side side 4"]:
+def _read_pixels(cube: Cube, face: int, kind: str, raw: dict[str, bytes]) -> UInt8[np.ndarray, "side side 4"]:
     name = cube.face_name(face, kind)
     try:
         return read_bgra(raw[name], cube.lookup.side, cube.lookup.side)
@@ -260,12 +270,12 @@ def _pixels(cube: Cube, face: int, kind: str, raw: dict[str, bytes]) -> UInt8[np
         raise ValueError(f"sensor {name}: {error}") from error
 
 
-def _rays(cube: Cube) -> Float64[np.ndarray, "P 3"]:
+def _ego_rays(cube: Cube) -> Float64[np.ndarray, "P 3"]:
     """Return the unit rays of a cube in the ego frame."""
     return cube.rays @ cube.ego_from_cube[:3, :3].T
 
 
-def _image(cube: Cube, values: np.ndarray, outside: float) -> np.ndarray:
+def _fill_image(cube: Cube, values: np.ndarray, outside: float) -> np.ndarray:
     height, width = cube.size
     image = np.full((height * width, *values.shape[1:]), outside, values.dtype)
     image[cube.pixels] = values

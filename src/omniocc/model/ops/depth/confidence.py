@@ -1,4 +1,4 @@
-"""From the probability that a network gives its spheres to that of a range being right, fitted on validation scenes."""
+"""Calibrate the probability that a network gives its spheres to the probability that a range is right."""
 
 from typing import Any
 
@@ -8,17 +8,17 @@ from torch import Tensor, nn
 
 RIGHT_WITHIN = 0.1
 """Relative error up to which a range is right."""
-LEAST = 1e-4
+LEAST_PROBABILITY = 1e-4
 """Least probability, and least distance from 1, that enters the fit."""
 NEWTON_STEPS = 25  # measured: 8 bring the weights of 5,000 ranges to rounding
 RIDGE = 1e-6
-"""Weight of the squares of the weights: without it the fit diverges where all ranges are right."""
+"""Weight of the L2 penalty on the weights: without it the fit diverges where all ranges are right."""
 
 
 def confidence_features(probability: Float[Tensor, "..."], range_m: Float[Tensor, "..."]) -> Float[Tensor, "... 3"]:
     """Return what the confidence depends on: log odds of the probability, log of the range, and 1."""
-    odds = probability.float().clamp(LEAST, 1 - LEAST).logit()
-    return torch.stack([odds, range_m.float().log(), torch.ones_like(odds)], -1)
+    log_odds = probability.float().clamp(LEAST_PROBABILITY, 1 - LEAST_PROBABILITY).logit()
+    return torch.stack([log_odds, range_m.float().log(), torch.ones_like(log_odds)], -1)
 
 
 def fit_logistic(features: Float[Tensor, "N F"], right: Bool[Tensor, " N"]) -> Float64[Tensor, " F"]:
@@ -35,9 +35,9 @@ def fit_logistic(features: Float[Tensor, "N F"], right: Bool[Tensor, " N"]) -> F
 
 
 class Confidence(nn.Module):
-    """Return how likely a range is within `RIGHT_WITHIN` of the true one (Platt scaling, with the range as an input).
+    """Probability that a range is within `RIGHT_WITHIN` of the true one (Platt scaling, with the range as an input).
 
-    Before `fit` it returns the probability itself.
+    Before `fit` it is the probability that the network gives.
     """
 
     weights: Tensor
@@ -47,16 +47,17 @@ class Confidence(nn.Module):
         self.register_buffer("weights", torch.tensor([1.0, 0.0, 0.0]))
 
     def forward(self, probability: Float[Tensor, "*at"], range_m: Float[Tensor, "*at"]) -> Float[Tensor, "*at"]:
-        """Return the confidence of ranges to which a network gives a probability."""
+        """Return the confidence in ranges (m) to which a network gives these probabilities."""
         # no matrix product, which autocast would compute in half precision
         return (confidence_features(probability, range_m) * self.weights).sum(-1).sigmoid()
 
     def fit(self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]) -> None:
-        """Fit to ranges of validation scenes that are right or wrong, and to the present confidence in them."""
+        """Fit to ranges (m) of validation scenes: the present confidence in each, and whether it is right."""
+        # the present log odds are linear in the features, so that a fit on top of them only changes the weights
         scale, by_range, offset = fit_logistic(confidence_features(confidence, range_m), right).to(self.weights)
         self.weights.copy_(scale * self.weights + torch.stack([0 * scale, by_range, offset]))
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
-        """Load weights; those of a checkpoint from before the calibration stay at their start."""
+        """Load weights; keep the present ones if a checkpoint has none, as before there was a calibration."""
         state_dict.setdefault(f"{prefix}weights", self.weights)
         super()._load_from_state_dict(state_dict, prefix, *rest)
