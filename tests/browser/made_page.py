@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import WORLD_CLASSES
+from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
 from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.extras.viewer.page import write_page
 from omniocc.geometry import Cuboid, Cylinder, Grid
@@ -56,6 +56,13 @@ def street(grid: Grid, seed: int, noise: float = 0.0) -> Tensor:
     return torch.from_numpy(labels)
 
 
+def evidence(seed: int, grid: Grid) -> Tensor:
+    """Return 300 points for every occupied cell, and two LiDAR rays and one camera ray for every known one."""
+    labels = street(grid, seed)
+    known = labels != UNKNOWN
+    return torch.stack([300 * (known & (labels != FREE)), 2 * known, 1 * known])
+
+
 def images(seed: int) -> tuple[np.ndarray, ...]:
     """Return an image for each camera: gradients in other colours."""
     width, height = SIZE
@@ -94,6 +101,7 @@ def made_frames(runs: tuple[str, ...] = RUNS) -> Iterator[ShownFrame]:
             panorama=PANORAMA,
             lidar=None,
             predictions=predictions,
+            evidence=functools.partial(evidence, number),
         )
 
 

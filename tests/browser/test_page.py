@@ -237,6 +237,16 @@ def test_a_ray_says_where_its_cells_are(open_page, made):
     sides = f"{abs(x):.2f} m {'behind' if x < 0 else 'ahead'}, {abs(y):.2f} m {'right' if y < 0 else 'left'}"
     height = f"z {z:.2f} m".replace("-", "\u2212")
     assert page.page.locator("#readout .place").first.inner_text() == f"truth: {sides}, {height}"
+    notes = page.page.locator("#readout .note").all_inner_texts()
+    assert notes[0] == "The true cell has 255 or more points; 2 LiDAR rays and 1 camera ray pass it."
+
+
+def test_a_ray_says_why_cells_on_it_are_unknown(open_page, made):
+    page = open_page(made[1])
+    labels = street(CYLINDER, 0)
+    cell = next(centre for centre in CYLINDER.centers(torch.float64)[labels == UNKNOWN] if centre.norm() > 3)
+    page.js(f"omniocc.setRay({{ name: 'made', origin: [0, 0, 0], direction: {(cell / cell.norm()).tolist()} }})")
+    page.page.wait_for_selector("#readout >> text=No point is in the first of them, and no ray reaches it.")
 
 
 def test_colours_of_differences_and_ranges_are_explained(open_page, made):

@@ -7,7 +7,7 @@ from fake_source import FakeFrames
 
 from omniocc.data.labels import voxels as observed
 from omniocc.data.labels.voxels import VoxelCache, vote
-from omniocc.data.source import LidarScan
+from omniocc.data.source import LidarScan, Points
 from omniocc.data.store import codec, reader
 from omniocc.geometry import Cuboid, Cylinder
 
@@ -100,6 +100,15 @@ def seen_by(scene: OneRay) -> list[int]:
     """Return which cells of 1 m along x were seen."""
     line = Cuboid((4, 1, 1), (0.0, 4.0), (-0.5, 0.5), (-0.5, 0.5))
     return observed.observed(scene, 0, line).flatten().tolist()
+
+
+def test_points_and_rays_of_every_cell_are_counted(monkeypatch):
+    scene, line = OneRay(2.5), Cuboid((4, 1, 1), (0.0, 4.0), (-0.5, 0.5), (-0.5, 0.5))
+    points = Points(np.array([[2.5, 0, 0], [2.4, 0, 0], [9, 0, 0]], np.float32), np.ones(3, np.uint8))
+    monkeypatch.setattr(scene, "points", lambda frame: points)
+    monkeypatch.setattr(scene, "camera_range_m", lambda frame: None)
+    counts = observed.cell_evidence(scene, 0, line).reshape(3, 4).tolist()
+    assert counts == [[0, 0, 2, 0], [1, 1, 0, 0], [0, 0, 0, 0]]
 
 
 def test_rays_of_equal_directions_are_told_apart_by_where_they_start():

@@ -194,33 +194,39 @@ class RayPaths(NamedTuple):
     cells: Int32[Tensor, "R L"]
     exit_m: Float32[Tensor, "R L"]
 
-    def crossed(self, range_m: Float32[Tensor, " R"], num_cells: int) -> Bool[Tensor, " cells"]:
-        """Return the cells that some ray leaves before its range, m; with nan a ray crosses none, with inf all."""
-        seen = torch.zeros(num_cells + 1, dtype=torch.bool)
+    def crossings(self, range_m: Float32[Tensor, " R"], num_cells: int) -> Int64[Tensor, " cells"]:
+        """Return how many rays leave each cell before their range, m; with nan a ray crosses none, with inf all."""
+        counts = torch.zeros(num_cells + 1, dtype=torch.int64)
         free_m = (range_m - 1 / STEPS_PER_M).nan_to_num(nan=0.0, posinf=float("inf"))
         for cells, exit_m, limit_m in zip(*(part.split(_CHUNK_RAYS) for part in (*self, free_m)), strict=True):
-            seen[cells[exit_m <= limit_m.unsqueeze(1)].long()] = True
-        return seen[:num_cells]
+            counts += cells[exit_m <= limit_m.unsqueeze(1)].bincount(minlength=num_cells + 1)
+        return counts[:num_cells]
+
+
+def cell_evidence(scene: SceneFrames, frame: int, geometry: Grid) -> Int64[Tensor, "3 X Y Z"]:
+    """Return what was measured of every cell of one frame: labelled points in it, LiDAR rays and camera rays across it.
+
+    A ray crosses a cell if it leaves it before it hits anything. Camera rays are those of every `PIXEL_STEP`-th row and
+    column whose range is known. Rays of the virtual LiDARs beside the car do not count, since the points of these
+    LiDARs are recorded, but not their positions.
+    """
+    scan, points, num_cells = scene.lidar(frame), scene.points(frame), geometry.num_cells
+    counts = torch.zeros(3, num_cells, dtype=torch.int64)
+    if points is not None:
+        cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
+        counts[0] = cells[inside].bincount(minlength=num_cells)
+    if scan is not None:
+        counts[1] = _lidar_paths(geometry, scan).crossings(torch.from_numpy(scan.range_m), num_cells)
+    for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
+        paths, valid = _camera_paths(geometry, scene.rigs[frame], camera)
+        range_m = torch.from_numpy(pixels_m[_PIXELS].ravel()).where(valid, torch.nan)
+        counts[2] += paths.crossings(range_m, num_cells)
+    return counts.reshape(3, *geometry.shape)
 
 
 def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
-    """Return 1 for every cell of one frame that was observed, 0 for the others, which are not free.
-
-    A cell is observed if it holds a labelled point, or if some ray of the ego LiDAR or of a camera leaves it before the
-    ray hits anything. Cells that only rays of the virtual LiDARs beside the car cross remain unobserved, since the
-    points of these LiDARs are recorded, but not their positions.
-    """
-    scan, points, num_cells = scene.lidar(frame), scene.points(frame), geometry.num_cells
-    mask = torch.zeros(num_cells, dtype=torch.bool)
-    if scan is not None:
-        mask |= _lidar_paths(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
-    for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
-        paths, valid = _camera_paths(geometry, scene.rigs[frame], camera)
-        mask |= paths.crossed(torch.from_numpy(pixels_m[_PIXELS].ravel()).where(valid, torch.nan), num_cells)
-    if points is not None:
-        cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
-        mask[cells[inside]] = True
-    return mask.to(torch.uint8).reshape(geometry.shape)
+    """Return 1 for the cells of one frame that hold a labelled point or are crossed by a ray, 0 for the others."""
+    return (cell_evidence(scene, frame, geometry) > 0).any(0).to(torch.uint8)
 
 
 @functools.lru_cache(maxsize=16)

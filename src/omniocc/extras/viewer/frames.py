@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
@@ -54,6 +54,8 @@ class ShownFrame:
         panorama: directions of that panorama; None without one.
         lidar: the LiDAR's rays and their hits; None without a LiDAR.
         predictions: by name of the model, in the order of `Shown.models`.
+        evidence: returns for a grid what was measured of every cell (`omniocc.data.labels.voxels.cell_evidence`); None
+            if the truth was not voted by recorded points.
     """
 
     scene: str
@@ -67,6 +69,7 @@ class ShownFrame:
     panorama: Equirectangular | None = None
     lidar: LidarScan | None = None
     predictions: Mapping[str, FramePrediction] = field(default_factory=dict)
+    evidence: Callable[[Grid], Int64[Tensor, "3 X Y Z"]] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import has_labels
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.labels.voxels import cell_evidence
 from omniocc.data.source import Ignore, MadeScenes, SceneFrames, SourceSpec, VoxelLabels
 from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.reader import SceneReader
@@ -206,4 +207,5 @@ def recorded_frame(
         panorama=None if range_m is None else scenes.true_panorama(scene, range_m.shape),
         lidar=scene.lidar(frame),
         predictions=predictions,
+        evidence=None if scene.points(frame) is None else partial(cell_evidence, scene, frame),
     )

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from made_page import CUBOID, CYLINDER, EVIL, RUNS, made_frames, made_shown, rig, write_made_page
+from made_page import CUBOID, CYLINDER, EVIL, RUNS, evidence, made_frames, made_shown, rig, write_made_page
 
 from omniocc.errors import UserError
 from omniocc.extras.viewer.page import page_path, write_page
@@ -114,6 +114,12 @@ def test_labels_images_and_tables_are_those_of_the_frames(page, facts):
     assert gzip.decompress(block(page, camera["directions"])) == table.directions.tobytes()
     bits = np.unpackbits(np.frombuffer(gzip.decompress(block(page, camera["valid"])), np.uint8))
     assert np.array_equal(bits[: table.valid.size].astype(bool), table.valid.flatten())
+
+
+def test_points_and_rays_of_cells_are_in_the_page(page, facts):
+    for number, frame in enumerate(facts["frames"][:2]):
+        counts = np.frombuffer(gzip.decompress(block(page, frame["evidence"]["0"])), np.uint8)
+        assert counts.tolist() == evidence(number, CYLINDER).clamp(max=255).flatten().tolist()
 
 
 def test_figures_that_do_not_count_are_left_out(facts):

@@ -76,6 +76,8 @@ SAFE_KINDS: dict[str, Rgb] = {
     "hallucinated": (150, 30, 30),
 }
 """By kind of difference, in the order in which the page numbers them from 1 on."""
+MOST_COUNTED = 255
+"""Points or rays of a cell that the page tells apart: a byte."""
 STEPS = (64, 32, 16, 8, 4, 2, 1)
 """Distances between the pixels of a table, px; the largest that is exact enough is taken."""
 LARGEST_ERROR_DEG = 0.04
@@ -122,6 +124,7 @@ class Packed:
                 "rig": None if frame.rig is None or not frame.images else self._rig(frame.rig),
                 "images": [self._image(image) for image in frame.images],
                 "truth": {self._grid(grid): self._bytes(labels.numpy()) for grid, labels in frame.truth.items()},
+                "evidence": {self._grid(grid): self._evidence(frame, grid) for grid in frame.truth if frame.evidence},
                 "predictions": [self._prediction(frame.predictions.get(name)) for name in self.facts["runs"]],
                 "panoramas": [
                     self._panorama(name, range_m.numpy(), panorama)
@@ -130,6 +133,11 @@ class Packed:
                 ],
             }
         )
+
+    def _evidence(self, frame: ShownFrame, grid: Grid) -> str:
+        """Add the numbers of points and rays of every cell, each at most `MOST_COUNTED`."""
+        assert frame.evidence is not None
+        return self._bytes(frame.evidence(grid).clamp(max=MOST_COUNTED).to(torch.uint8).numpy())
 
     def _prediction(self, prediction: FramePrediction | None) -> dict[str, Any] | None:
         if prediction is None:

@@ -61,6 +61,14 @@ export async function volume(frame, source) {
   return truth && { grid: truth.grid, truth: truth.labels, predicted: predicted.labels };
 }
 
+// Return [points, rays of the LiDAR, rays of cameras] of a cell of a frame's truth, each at most 255; null if not known.
+export async function evidence(frame, grid, cell) {
+  const block = page.frames[frame].evidence[grid];
+  if (block === undefined) return null;
+  const counts = await bytesOf(block);
+  return [0, 1, 2].map(kind => counts[kind * grids[grid].cells + cell]);
+}
+
 const labelsOf = async (block, grid) => (block === undefined ? null : { grid: grids[grid], labels: await bytesOf(block) });
 
 // Return the kind of difference of every cell whose true or predicted class is shown; 0 where both are free, where the

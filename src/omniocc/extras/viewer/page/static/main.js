@@ -1,11 +1,11 @@
 // The page: what is shown, and what keys and buttons change.
 
-import { differences, firstSources, grids, page, sources, volume } from "omniocc/data.js";
+import { differences, evidence, firstSources, grids, page, sources, volume } from "omniocc/data.js";
 import { at, make } from "omniocc/dom.js";
 import { bar, cellMark } from "omniocc/extras.js";
 import { Images } from "omniocc/images.js";
 import { faces } from "omniocc/mesh.js";
-import { Classes, legend, showFigures, showReadout } from "omniocc/panels.js";
+import { Classes, legend, measured, showFigures, showReadout, whyUnknown } from "omniocc/panels.js";
 import { Timeline } from "omniocc/timeline.js";
 import { stopping, trace } from "omniocc/trace.js";
 import { View3d } from "omniocc/view3d.js";
@@ -110,7 +110,7 @@ async function drawRay() {
   if (!ray || ray.outside || !ray.direction) {
     view3d?.setRay([]);
     images.tint(null);
-    return showReadout(ray?.name, [], ray ? "The lens does not see there, or the own car hides it." : HINT);
+    return showReadout(ray?.name, [], [ray ? "The lens does not see there, or the own car hides it." : HINT]);
   }
   const traced = sources.filter(each => each.kind !== "differences");
   const found = await Promise.all(traced.map(each => volume(state.frame, each)));
@@ -120,8 +120,16 @@ async function drawRay() {
   });
   images.tint(rows.find(({ hit }) => hit?.label)?.color);
   view3d?.setRay(rayObjects(ray, rows));
-  const unknown = rows[0]?.hit?.unknown ?? 0;
-  return showReadout(ray.name, rows, unknown > 0.005 ? `${unknown.toFixed(2)} m of it run through cells of unknown truth.` : "");
+  return showReadout(ray.name, rows, await aboutTruth(rows[0]));
+}
+
+// Lines on the true cells along the ray: what was measured of the one that is hit, and why cells before it are unknown.
+async function aboutTruth({ kind, hit, grid } = {}) {
+  if (kind !== "truth" || !hit) return [];
+  const counts = cell => (cell < 0 ? null : evidence(state.frame, grids.indexOf(grid), cell));
+  const found = hit.label ? measured(await counts(hit.cell)) : "";
+  const unknown = hit.unknown > 0.005 ? `${hit.unknown.toFixed(2)} m of it run through cells of unknown truth.${whyUnknown(await counts(hit.unknownCell))}` : "";
+  return [found, unknown].filter(Boolean);
 }
 
 // The ray up to its last hit, and the outlines of the cells that are hit: true ones white, predicted ones yellow.
@@ -208,4 +216,4 @@ listen();
 recolor();
 fromAddress();
 // for the tests in tests/browser, which compare with omniocc
-window.omniocc = { page, grids, state, view3d, images, sources, volume, trace, stopping, faces, show, drawn: () => state.drawn };
+window.omniocc = { page, grids, state, view3d, images, sources, volume, trace, stopping, faces, show, setRay, drawn: () => state.drawn };

@@ -112,11 +112,25 @@ function meanOf(key, run) {
   return values.reduce((sum, value) => sum + value, 0) / values.length;
 }
 
-// What a ray hits: [{ title, hit, color }] by source, or a message.
-export function showReadout(name, rows, message) {
+const counted = (count, name) => `${count < 255 ? count : "255 or more"} ${name}${count === 1 ? "" : "s"}`;
+
+// What was measured of a true cell, in words; `counts` as of `evidence` in data.js.
+export function measured(counts) {
+  return counts ? `The true cell has ${counted(counts[0], "point")}; ${counted(counts[1], "LiDAR ray")} and ${counted(counts[2], "camera ray")} pass it.` : "";
+}
+
+// Why the first unknown cell on a ray is unknown, in words.
+export function whyUnknown(counts) {
+  if (!counts) return "";
+  if (counts.every(count => count === 0)) return " No point is in the first of them, and no ray reaches it.";
+  return ` The first has ${counted(counts[0], "point")}, ${counted(counts[1], "LiDAR ray")} and ${counted(counts[2], "camera ray")}: the labels leave it out.`;
+}
+
+// What a ray hits: [{ title, hit, color }] by source, and lines about it.
+export function showReadout(name, rows, messages) {
   at("forget").hidden = !name;
   if (!name) {
-    at("readout").replaceChildren(make("p", { class: "note" }, message));
+    at("readout").replaceChildren(...messages.map(message => make("p", { class: "note" }, message)));
     return;
   }
   const first = rows.find(({ hit }) => hit && hit.label)?.hit;
@@ -128,7 +142,7 @@ export function showReadout(name, rows, message) {
   });
   const places = rows.filter(({ hit }) => hit?.label && hit.cell >= 0).map(({ title, hit, grid }) => make("p", { class: "note place" }, `${title}: ${placeOf(grid.center(hit.cell))}`));
   at("readout").replaceChildren(
-    make("p", { class: "from" }, name), ...(message ? [make("p", { class: "note" }, message)] : []),
+    make("p", { class: "from" }, name), ...messages.map(message => make("p", { class: "note" }, message)),
     ...(lines.length ? [make("table", {}, make("tbody", {}, ...lines))] : []), ...places,
   );
 }

@@ -9,18 +9,20 @@ const FACE = 1e-10; // a ray less than this (in sectors) below a sector's face b
 
 // Return { label, cell, entry, exit } of the first cell whose label stops the ray (`stops` has a 1 for it), distances in
 // m; label FREE and the distance at which the ray leaves the grid if there is none, Infinity for a ray that misses it.
-// `unknown` is the length of the ray in unknown cells before that, m.
+// `unknown` is the length of the ray in unknown cells before that, m, and `unknownCell` the first of them, else -1.
 export function trace(grid, labels, origin, direction, stops) {
   const length = Math.hypot(...direction), ray = direction.map(value => value / length);
   const [enter, leave] = clip(grid, origin, ray), start = Math.max(enter, 0);
-  if (!(leave > start + TOUCH_M)) return { label: FREE, cell: -1, entry: Infinity, exit: Infinity, unknown: 0 };
-  let unknown = 0;
+  if (!(leave > start + TOUCH_M)) return { label: FREE, cell: -1, entry: Infinity, exit: Infinity, unknown: 0, unknownCell: -1 };
+  let unknown = 0, unknownCell = -1;
   for (const { cell, from, to } of stretches(grid, origin, ray, start, leave)) {
     const label = cell < 0 ? FREE : labels[cell];
-    if (stops[label]) return { label, cell, entry: from, exit: to, unknown };
-    if (label === UNKNOWN) unknown += to - from;
+    if (stops[label]) return { label, cell, entry: from, exit: to, unknown, unknownCell };
+    if (label !== UNKNOWN) continue;
+    unknown += to - from;
+    if (unknownCell < 0) unknownCell = cell;
   }
-  return { label: FREE, cell: -1, entry: leave, exit: leave, unknown };
+  return { label: FREE, cell: -1, entry: leave, exit: leave, unknown, unknownCell };
 }
 
 // Labels that stop a ray: all but free, and all but unknown unless `withUnknown`.
