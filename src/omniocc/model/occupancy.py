@@ -286,7 +286,7 @@ class OccupancyModel(nn.Module):
     def compute_hints(
         self, lifted: Lifted, rigs: tuple[Rig, ...], pixel_logits: Float[Tensor, "B N K h w"] | None = None
     ) -> Known:
-        """Return the hints on the voxels of single frames; run the 2D head if they use its logits and none are given."""
+        """Return the hints on the voxels of single frames; run the 2D head if they need its logits and none come."""
         if pixel_logits is None and self.hints.classes is not None:
             pixel_logits = self.semantic_head(lifted.features)
         return self.hints(lifted.sketched, rigs, pixel_logits)

@@ -86,7 +86,7 @@ def finish_scene(
     facts: Mapping[str, Any],
     software: Sequence[str] = SOFTWARE,
 ) -> None:
-    """Write the calibration, the facts about the scene and the versions of `software`, then close the scene as complete.
+    """Write the calibration, the facts about the scene and the versions of `software`; mark the scene as complete.
 
     `edges_deg` are the elevations of the upper and lower edge of its panoramas of ranges.
     """

@@ -132,7 +132,7 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
-    """Yield lines on files named unlike their cameras, on images that are not used, and on lens models that do not fit."""
+    """Yield lines on files named unlike their cameras, on unused images and on lens models that do not fit."""
     files = dict(zip(rig.names, frames[0].files, strict=True))
     if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
         yield "images    " + ", ".join(f"{name}={file.name}" for name, file in files.items() if file is not None)
