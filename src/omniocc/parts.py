@@ -87,7 +87,7 @@ class Parts:
 
     @property
     def has_head(self) -> bool:
-        """Return whether the 2D head classifies pixels; a head without the attribute `CLASSIFIES` counts as one that does."""
+        """Return whether the 2D head classifies pixels; without the attribute `CLASSIFIES`, True."""
         return getattr(target_of(self.cfg.model.semantic_head), "CLASSIFIES", True)
 
     def without_head(self) -> "Parts":

@@ -1,8 +1,9 @@
 """Two masks of the cells that cameras see, as OccTrack360 has them for the fisheyes of KITTI-360.
 
 Lin et al., OccTrack360 (arXiv 2603.08521): a mask of the field of view of the lens, the same in every frame, and one by
-rays that end at the first occupied cell. The masks differ: most cells in the field of view are hidden. Here lenses are the
-full models with their distortion, cameras stand where the calibration puts them, and rays visit every cell they cross.
+rays that end at the first occupied cell. The masks differ: most cells in the field of view are hidden. Here lenses are
+the full models with their distortion, cameras are where the calibration puts them, and rays visit every cell they
+cross.
 """
 
 from typing import Literal, no_type_check
