@@ -8,7 +8,7 @@ from omniocc.report.selection import given_values
 from omniocc.report.tables.formats import csv_text
 from omniocc.report.tables.paper import SPREAD, figure_of, spread_cells
 
-SCORE_KEY = "val/rayiou"
+SCORE = "val/rayiou"
 RATE_KEYS = ("optimizer.learning_rate", "preset.stages.occupancy.learning_rate")
 """Key of the learning rate of a run, and of the preset's value, which it has by default."""
 
@@ -22,7 +22,7 @@ class TunedSystem(NamedTuple):
     @property
     def best_rate(self) -> float:
         """Return the rate with the highest mean score; of equal ones the lowest."""
-        means = {rate: figure.mean for rate, runs in self.runs.items() if (figure := figure_of(runs, SCORE_KEY))}
+        means = {rate: figure.mean for rate, runs in self.runs.items() if (figure := figure_of(runs, SCORE))}
         return max(sorted(means), key=lambda rate: means[rate])
 
 
@@ -36,7 +36,7 @@ def tuned_systems(runs: Sequence[FinishedRun]) -> list[TunedSystem]:
     for run in sorted(runs, key=lambda run: run.name):
         settings = given_values(run.config)
         rate = settings.get(RATE_KEYS[0])
-        if rate is not None and SCORE_KEY in run.metrics:
+        if rate is not None and SCORE in run.metrics:
             rest = {key: value for key, value in settings.items() if key not in RATE_KEYS}
             key = repr([sorted(rest.items()), run.facts.get("data")])
             groups.setdefault(key, {}).setdefault(float(rate), {})[run.facts.get("seed")] = run
@@ -67,7 +67,7 @@ def learning_rates_csv(runs: Sequence[FinishedRun]) -> str:
         [
             tuned.name,
             f"{rate:g}",
-            *spread_cells(figure_of(tried, SCORE_KEY)),
+            *spread_cells(figure_of(tried, SCORE)),
             "yes" if rate == tuned.best_rate else "no",
         ]
         for tuned in tuned_systems(runs)
