@@ -64,12 +64,7 @@ def learning_rates_csv(runs: Sequence[FinishedRun]) -> str:
     """
     head = ["system", "learning rate", *(f"validation voxel RayIoU, {column}" for column in SPREAD[:-1]), "seeds"]
     lines = [
-        [
-            tuned.name,
-            f"{rate:g}",
-            *spread_cells(figure_of(tried, SCORE)),
-            "yes" if rate == tuned.best_rate else "no",
-        ]
+        [tuned.name, f"{rate:g}", *spread_cells(figure_of(tried, SCORE)), "yes" if rate == tuned.best_rate else "no"]
         for tuned in tuned_systems(runs)
         for rate, tried in tuned.runs.items()
     ]
