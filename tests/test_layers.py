@@ -26,7 +26,7 @@ def test_recorded_scenes_and_the_model_of_the_paper_need_no_world_and_no_extras(
         "check(cfg)\n"
         "parts = Parts(cfg)\n"
         "model = parts.model()\n"
-        "parts.data(), parts.depth(), parts.of_task(), parts.recipe('occupancy'), parts.trainer()\n"
+        "parts.data(), parts.depth(), parts.task_parts(), parts.recipe('occupancy'), parts.trainer()\n"
         "import omniocc.evaluate, omniocc.predict, omniocc.report.write, omniocc.train\n"
         f"print(type(model).__name__, {LEFT_OUT})"
     )

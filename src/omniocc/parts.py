@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # a script that renders or records starts without torch and L
     from omniocc.data import OccupancyData, SceneSource
     from omniocc.model import OccupancyModel
 
-OF_TASK = ("model", "loss", "optimizer", "augment")
+TASK_KEYS = ("model", "loss", "optimizer", "augment")
 """Root keys from which the occupancy task is built."""
 NO_HEAD = {"_target_": "omniocc.model.semantic_head.NoSemanticHead"}
 """The option `model/semantic_head=none`."""
@@ -26,7 +26,7 @@ class Parts:
     All methods raise ConfigError when a constructor refuses a value.
 
     Args:
-        cfg: of `train.yaml`, or the part of it that is asked for.
+        cfg: configuration of `train.yaml`, or the part of it that the called methods build from.
     """
 
     def __init__(self, cfg: DictConfig):
@@ -38,15 +38,15 @@ class Parts:
         return plain(self.cfg)
 
     def data(self, **changes: Any) -> "OccupancyData":
-        """Return the data, with other arguments than those of the configuration."""
+        """Return the data; `changes` replace arguments of the configuration."""
         return build(self.cfg.data, **changes)
 
     def source(self, **changes: Any) -> "SceneSource":
-        """Return the source of the scenes alone, with other arguments than those of the configuration."""
+        """Return only the source of the scenes; `changes` replace arguments of the configuration."""
         return build(self.cfg.data.source, **changes)
 
     def depth(self) -> "nn.Module":
-        """Return the depth option, with which no sketch is built yet."""
+        """Return the depth option alone, without the sketch that uses it."""
         return build(self.cfg.depth)
 
     def sketch(self) -> "nn.Module":
@@ -58,19 +58,19 @@ class Parts:
         return build(self.cfg.model)
 
     def appearance(self) -> Any:
-        """Return the changes of the depth stage's images, `omniocc.data.Appearance`; None without any."""
+        """Return the image augmentation of the depth stage, `omniocc.data.Appearance`; None without any."""
         return None if self.cfg.appearance is None else build(self.cfg.appearance)
 
-    def of_task(self) -> tuple[Any, Any, Any]:
+    def task_parts(self) -> tuple[Any, Any, Any]:
         """Return loss, optimiser and augmentation of the occupancy stage."""
         return build(self.cfg.loss), build(self.cfg.optimizer), build(self.cfg.augment)
 
     def recipe(self, stage: str) -> Any:
-        """Return how a stage is trained, `omniocc.train.Recipe`."""
+        """Return the training recipe of a stage, `omniocc.train.Recipe`."""
         return build(self.cfg.stages[stage])
 
     def trainer(self, **changes: Any) -> "Trainer":
-        """Return Lightning's trainer on this machine; without changes one that writes nothing, to ask for devices."""
+        """Return Lightning's trainer; without changes it writes nothing and serves to ask for devices."""
         return build(self.cfg.trainer, **(changes or {"logger": False, "enable_checkpointing": False}))
 
     def callbacks(self) -> "list[Callback]":
@@ -78,20 +78,20 @@ class Parts:
         return [build(callback) for callback in self.cfg.callbacks.values()]
 
     def loggers(self) -> Any:
-        """Return what makes the loggers of a run, `omniocc.runs.wandb.loggers.Loggers`."""
+        """Return the factory of a run's loggers, `omniocc.runs.wandb.loggers.Loggers`."""
         return build(self.cfg.logger)
 
     def recorder(self) -> Any:
-        """Return what records scenes."""
+        """Return the recorder of scenes."""
         return build(self.cfg.recorder)
 
     @property
     def has_head(self) -> bool:
-        """Return whether the 2D head classifies pixels; foreign heads do unless they say `CLASSIFIES = False`."""
+        """Return whether the 2D head classifies pixels; without the attribute `CLASSIFIES`, True."""
         return getattr(target_of(self.cfg.model.semantic_head), "CLASSIFIES", True)
 
     def without_head(self) -> "Parts":
-        """Return the same parts without the 2D head and what looks its classes up."""
+        """Return the same parts without the 2D head and without the hint that looks its classes up."""
         cfg = self.cfg.copy()
         with open_dict(cfg):
             cfg.model.semantic_head = NO_HEAD
@@ -99,7 +99,7 @@ class Parts:
         return Parts(cfg)
 
     def without_pretrained(self) -> "Parts":
-        """Return the same parts, whose model loads no pretrained weights, since those of a checkpoint replace them.
+        """Return the same parts without pretrained weights, for models whose weights come from a checkpoint.
 
         A backbone names the arguments that only load weights in `PRETRAINED`; one without it is built as it is.
         """

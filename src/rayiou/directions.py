@@ -11,7 +11,7 @@ from torch import Tensor
 from rayiou.lattice import Lattice
 
 MARGIN_M = 1.0
-"""Origins are used more than this far inside of a grid's sides: the public rule is 39 m in a grid that ends at 40 m."""
+"""Origins must be more than this far inside of a grid's sides. The public rule is 39 m, in a grid that ends at 40 m."""
 MOST_ORIGINS = 8
 
 
@@ -20,7 +20,7 @@ class RayOrigins(NamedTuple):
 
     Attributes:
         positions_m: ego frame of the scored frame, m.
-        times: frames from the scored one to that of each origin: below 0 past, 0 the scored frame itself, above 0
+        times: number of frames from the scored frame to that of each origin; negative in the past, positive in the
             future.
     """
 
@@ -47,11 +47,12 @@ def sparseocc_directions() -> Float64[Tensor, "14040 3"]:
 
 
 def rays_around(azimuths: int) -> Float64[Tensor, "R 3"]:
-    """Return unit directions at the 39 elevations of the public RayIoU, in fewer azimuths, half a step off +x."""
-    ahead = sparseocc_directions()[::360]
+    """Return unit directions at the public RayIoU's 39 elevations and other azimuths, the first half a step off +x."""
+    at_azimuth_0 = sparseocc_directions()[::360]
     azimuth = (torch.arange(azimuths, dtype=torch.float64) + 0.5) * (2 * math.pi / azimuths)
-    level, up = torch.meshgrid(ahead[:, 0], azimuth, indexing="ij"), ahead[:, 2:].expand(-1, azimuths)
-    return torch.stack([level[0] * level[1].cos(), level[0] * level[1].sin(), up], -1).reshape(-1, 3)
+    horizontal, azimuth = torch.meshgrid(at_azimuth_0[:, 0], azimuth, indexing="ij")
+    up = at_azimuth_0[:, 2:].expand(-1, azimuths)
+    return torch.stack([horizontal * azimuth.cos(), horizontal * azimuth.sin(), up], -1).reshape(-1, 3)
 
 
 def sparseocc_origins(
@@ -75,10 +76,10 @@ def sparseocc_origins(
         >>> sparseocc_origins(positions_m)[:, 0].tolist()
         [-35.0, -25.0, -15.0, -5.0, 5.0, 15.0, 25.0, 35.0]
     """
-    return positions_m[eight_frames(positions_m, reach_m, most)]
+    return positions_m[origin_frames(positions_m, reach_m, most)]
 
 
-def eight_frames(
+def origin_frames(
     positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
 ) -> Int64[Tensor, " O"]:
     """Return the numbers of the frames whose positions `sparseocc_origins` returns."""
@@ -86,7 +87,7 @@ def eight_frames(
 
 
 def thin_frames(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
-    """Return the frames if they are at most that many, else the first, the last and evenly spaced ones between them."""
+    """Return all frames if they are at most `most`, else the first, the last and evenly spaced ones between them."""
     if len(frames) <= most:
         return frames
     return frames[torch.linspace(0, len(frames) - 1, most, dtype=torch.float64).round().long().to(frames.device)]
@@ -102,8 +103,8 @@ def trajectory_origins(
     """Return where the car was before, at and after a frame, as origins of its rays: the rule of the public RayIoU.
 
     SparseOcc (Liu et al. 2024; `EgoPoseDataset` in `loaders/ego_pose_dataset.py` of its repository) casts the rays of a
-    frame from where the LiDAR was in all key frames of the scene, past and future ones, brought to the ego frame of the
-    scored frame. Those are used that are more than 1 m inside of the grid's sides, whatever their height. Of more than
+    frame from the positions of the LiDAR in all key frames of the scene, past and future ones, in the ego frame of the
+    scored frame. Used are those more than 1 m inside of the grid's sides, whatever their height. Of more than
     eight, the first, the last and six evenly spaced by their number between them are taken
     (`round(linspace(0, n - 1, 8))`), so that the frame's own position may be missing. Here the frame's own position is
     one of those to choose from even where it is at a side of the grid, as the car's is in a grid that lies ahead of it.
@@ -111,8 +112,8 @@ def trajectory_origins(
     Args:
         world_from_ego: (F, 4, 4) poses of all frames of the scene, in order of time, float64.
         frame: number of the scored frame.
-        grid: that is scored.
-        ego_from_sensor: (F, 4, 4) or (4, 4) pose of the LiDAR in the ego frame of each frame; default its origin.
+        grid: grid of the scored voxels.
+        ego_from_sensor: (F, 4, 4) or (4, 4) pose of the LiDAR in the ego frame of each frame; default: at its origin.
         most: largest number of origins.
 
     Returns:
@@ -135,9 +136,9 @@ def trajectory_origins(
     sensor = torch.eye(4, dtype=torch.float64) if ego_from_sensor is None else torch.as_tensor(ego_from_sensor).double()
     if sensor.shape not in ((4, 4), poses.shape):
         raise ValueError(f"ego_from_sensor must have shape {tuple(poses.shape)}, got {tuple(sensor.shape)}")
-    turn, place = poses[frame, :3, :3], poses[frame, :3, 3]
-    positions_m = ((poses @ sensor)[:, :3, 3] - place) @ turn
-    near = grid.within_sides(positions_m, MARGIN_M)
-    near[frame] = True
-    frames = thin_frames(near.nonzero().flatten(), most)
+    rotation, translation = poses[frame, :3, :3], poses[frame, :3, 3]
+    positions_m = ((poses @ sensor)[:, :3, 3] - translation) @ rotation
+    usable = grid.within_sides(positions_m, MARGIN_M)
+    usable[frame] = True
+    frames = thin_frames(usable.nonzero().flatten(), most)
     return RayOrigins(positions_m[frames], frames - frame)

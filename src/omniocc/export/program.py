@@ -38,7 +38,7 @@ class FrameProgram(Program):
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
         lifted = self.model.lift(images[None], (self.rig,))
-        known = self.model.known(lifted, (self.rig,))
+        known = self.model.compute_hints(lifted, (self.rig,))
         logits, _ = self.model.fuse([lifted.volume], pose, there, lifted.sketched, known)
         return logits.argmax(1)[0].to(torch.uint8)
 
@@ -64,7 +64,7 @@ class Step(Program):
             world_from_ego: poses of the past frames and, last, of the newest.
         """
         lifted = self.model.lift(images[None], (self.rig,))
-        known = self.model.known(lifted, (self.rig,))
+        known = self.model.compute_hints(lifted, (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
         volumes = [*past_volumes.split(1), lifted.volume]
         logits, _ = self.model.fuse(volumes, world_from_ego[None], exists, lifted.sketched, known)

@@ -31,25 +31,27 @@ from omniocc.model.protocols import (
     volume_and_extras,
 )
 
-SMOOTHING = 20.0
-"""Frames by which the counts of a voxel's neighbours count in its own."""
-FIRST_WEIGHTS = 0.01
-"""Standard deviation of the linear map's first weights: small, so that the first logits are the start."""
+SMOOTHING_FRAMES = 20.0
+"""Number of frames that the class fractions of a voxel's surroundings are worth beside the voxel's own counts."""
+INITIAL_STD = 0.01
+"""Standard deviation of the linear map's initial weights: small, so that the first logits are nearly the start."""
 
 
 class Classifier(nn.Module):
-    """Add a linear map of the voxels' features to a start: the log-probabilities of the classes before training.
+    """Add a linear map of the voxels' features to a start: log-probabilities of the classes before any feature is used.
 
-    The start has the frequencies of the classes in each voxel of the training frames. Hints may put a probability of
-    their own in the place of the frequency of being occupied, and multiply the frequencies of the occupied classes. How
-    much a frequency counts is learned for each class.
+    The start of a voxel is the frequency of every class in it over the training frames. Hints can replace the frequency
+    of 'occupied' by a probability of their own, and multiply the frequencies of the occupied classes by factors. The
+    frequency of each occupied class is raised to a learned power, `prior_weight`.
 
     Args:
-        channels: of the volume.
-        num_classes: of voxels, free included.
+        channels: number of channels of the volume.
+        num_classes: number of classes of voxels, free included.
 
     Attributes:
-        COUNTED: names of the buffers that are counted in the training frames, not learned.
+        COUNTED: names of the buffers that come from counts in the training frames and are not learned.
+        prior_log_odds: of being occupied.
+        prior_shares: logarithms of the fractions of the occupied classes among occupied voxels.
     """
 
     COUNTED: ClassVar = ("prior_log_odds", "prior_shares")
@@ -60,7 +62,7 @@ class Classifier(nn.Module):
         super().__init__()
         self.geometry = geometry
         self.linear = Pointwise(channels, num_classes)
-        nn.init.normal_(self.linear.weight, std=FIRST_WEIGHTS)
+        nn.init.normal_(self.linear.weight, std=INITIAL_STD)
         nn.init.zeros_(self.linear.bias)
         self.prior_weight = nn.Parameter(torch.ones(num_classes - 1))
         self.register_buffer("prior_log_odds", torch.zeros(geometry.shape))
@@ -68,13 +70,13 @@ class Classifier(nn.Module):
 
     def set_class_counts(self, counts: Int64[Tensor, "K X Y Z"]) -> None:
         """Set the start from the number of training frames with each class in each voxel."""
-        rings = [axis for axis in range(3) if self.geometry.periodic[axis]]
-        occupied = smoothed_fractions(torch.stack([counts[FREE], counts[FREE + 1 :].sum(0)]), rings)
+        periodic_axes = [axis for axis in range(3) if self.geometry.periodic[axis]]
+        occupied = smoothed_fractions(torch.stack([counts[FREE], counts[FREE + 1 :].sum(0)]), periodic_axes)
         self.prior_log_odds.copy_(torch.log(occupied[1] / occupied[0]))
-        self.prior_shares.copy_(smoothed_fractions(counts[FREE + 1 :], rings).log().movedim(0, -1))
+        self.prior_shares.copy_(smoothed_fractions(counts[FREE + 1 :], periodic_axes).log().movedim(0, -1))
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], *hints: Tensor | None) -> Float[Tensor, "B K X Y Z"]:
-        """Return logits; hints are those of `start`."""
+        """Return logits; `hints` are the arguments of `start`."""
         return self.linear(volume) + self.start(*hints).movedim(-1, 1)
 
     def start(
@@ -83,8 +85,8 @@ class Classifier(nn.Module):
         """Return the log-probabilities before any feature of the images is used.
 
         Args:
-            log_odds: of being occupied; None: those of the training frames.
-            class_scores: of the occupied classes, added to the logarithms of their frequencies; None: nothing is.
+            log_odds: log-odds of being occupied; None: those of the training frames.
+            class_scores: scores to add to the logarithms of the frequencies of the occupied classes; None: no scores.
         """
         log_odds = self.prior_log_odds[None] if log_odds is None else log_odds
         scores = self.prior_weight * self.prior_shares[None]
@@ -94,22 +96,22 @@ class Classifier(nn.Module):
         return torch.cat([free.expand(*occupied.shape[:-1], 1), occupied], dim=-1)
 
 
-def smoothed_fractions(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> Float[Tensor, "K X Y Z"]:
+def smoothed_fractions(counts: Int64[Tensor, "K X Y Z"], periodic_axes: Sequence[int]) -> Float[Tensor, "K X Y Z"]:
     """Return the fraction of each class in each voxel, drawn towards that of its surroundings where frames are few.
 
-    The surroundings of a voxel are its ring along the periodic axes, those of a ring its height, those of a height the
-    whole grid, those of the grid equal fractions. Each is worth 20 frames. In a grid without periodic axes those of a
-    voxel are its height.
+    Surroundings are nested: the whole grid, the layer of one height, the ring along the periodic axes (if there are
+    any), the voxel. From one to the next, the fractions of the larger are added to the counts of the smaller as
+    `SMOOTHING_FRAMES` frames. Those of the grid are drawn towards equal fractions.
 
     Args:
-        counts: frames with each class in each voxel.
-        rings: periodic axes of the grid.
+        counts: number of frames with each class in each voxel.
+        periodic_axes: periodic axes of the grid.
     """
     fractions = torch.full((len(counts), 1, 1, 1), 1 / len(counts), dtype=torch.float64)
-    wholes = [(1, 2, 3), (1, 2), *([tuple(axis + 1 for axis in rings)] if rings else []), ()]
-    for axes in wholes:
+    rings = [tuple(axis + 1 for axis in periodic_axes)] if periodic_axes else []
+    for axes in [(1, 2, 3), (1, 2), *rings, ()]:
         summed = counts.double().sum(axes, keepdim=True) if axes else counts.double()
-        fractions = (summed + SMOOTHING * fractions) / (summed.sum(0, keepdim=True) + SMOOTHING)
+        fractions = (summed + SMOOTHING_FRAMES * fractions) / (summed.sum(0, keepdim=True) + SMOOTHING_FRAMES)
     return fractions.float()
 
 
@@ -136,9 +138,9 @@ class Lifted(NamedTuple):
 
     Attributes:
         volume: features of every voxel, in each frame's own ego frame.
-        sketched: the candidates, in the same ego frame.
+        sketched: output of the sketch, in the same ego frame.
         features: of the images, finest first.
-        extras: what the lifter predicts for losses besides.
+        extras: further predictions of the lifter, which only losses use.
     """
 
     volume: Float[Tensor, "B C X Y Z"]
@@ -166,14 +168,15 @@ def last_frames(
     exists: Bool[Tensor, "B T"] | None,
 ) -> Window:
     """Return at most `count` frames of sequences; raise ValueError if rigs and images do not fit together."""
-    given, (batch, frames) = [len(sample) for sample in rigs], images.shape[:2]
-    if given != [frames] * batch:
-        raise ValueError(f"rigs of {given} frames for {batch} samples of {frames} frames; give one for each frame")
+    batch, frames = images.shape[:2]
+    rig_counts = [len(sample) for sample in rigs]
+    if rig_counts != [frames] * batch:
+        raise ValueError(f"rigs of {rig_counts} frames for {batch} samples of {frames} frames; give one for each frame")
     if exists is None:
         exists = torch.ones(batch, frames, dtype=torch.bool, device=images.device)
-    part = slice(None), slice(-count, None)
+    last = slice(None), slice(-count, None)
     rigs = tuple(sample[-count:] for sample in rigs)
-    return Window(images[part], rigs, world_from_ego[part], sketched and part_of(sketched, *part), exists[part])
+    return Window(images[last], rigs, world_from_ego[last], sketched and part_of(sketched, *last), exists[last])
 
 
 class OccupancyModel(nn.Module):
@@ -222,7 +225,7 @@ class OccupancyModel(nn.Module):
 
         Args:
             images: (B, T, N, 3, H, W), frames oldest first.
-            rigs: of each sample one per frame; cameras may move on the vehicle.
+            rigs: for each sample one per frame; cameras may move on the vehicle.
             world_from_ego: pose of each frame.
             sketched: output of the sketch for every frame, with an axis T; None runs the sketch.
             exists: which frames were recorded; the others, before a scene's first, are not computed. None: all.
@@ -233,15 +236,13 @@ class OccupancyModel(nn.Module):
         """
         window = last_frames(self.temporal.frames, images, rigs, world_from_ego, sketched, exists)
         newest_rigs = tuple(sample[-1] for sample in rigs)
-        # candidates from depth -> image features -> coloring; the newest frame first: older versions of PyTorch cache
-        # weights for autocast as their first use needs them, and the past may need no gradient
+        # The newest frame is lifted before the past. Under autocast, older versions of PyTorch cache weights as their
+        # first use made them: without gradient, if that were the past.
         newest = self.lift(images[:, -1], newest_rigs, sketched and part_of(sketched, slice(None), -1))
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(window, newest.volume)
         pixel_logits = self.semantic_head(newest.features)
-        # beyond the paper, whose model knows nothing here
-        known = self.known(newest, newest_rigs, pixel_logits)
-        # temporal fusion -> refiner -> classifier
+        known = self.compute_hints(newest, newest_rigs, pixel_logits)  # beyond the paper, whose model has none
         volumes = [*past, newest.volume]
         logits, extras = self.fuse(volumes, window.world_from_ego, window.exists, newest.sketched, known)
         ranges = None
@@ -282,28 +283,28 @@ class OccupancyModel(nn.Module):
         """Return the output of the sketch for single frames, without gradient: it is trained in its own stage."""
         return self.sketch(to_unit_range(images), rigs)
 
-    def known(
+    def compute_hints(
         self, lifted: Lifted, rigs: tuple[Rig, ...], pixel_logits: Float[Tensor, "B N K h w"] | None = None
     ) -> Known:
-        """Return the hints on the voxels of single frames; the 2D head is run if they use its logits and have none."""
+        """Return the hints on the voxels of single frames; run the 2D head if they need its logits and none come."""
         if pixel_logits is None and self.hints.classes is not None:
             pixel_logits = self.semantic_head(lifted.features)
         return self.hints(lifted.sketched, rigs, pixel_logits)
 
     def _lift_past(self, window: Window, like: Float[Tensor, "B C X Y Z"]) -> Volumes:
         """Lift all past frames that exist in one go; return zeros, laid out as `like`, for the others."""
-        there = window.exists[:, :-1]
-        if there.shape[1] == 0:
+        exists = window.exists[:, :-1]
+        if exists.shape[1] == 0:
             return []
-        frames, samples = there.T.nonzero(as_tuple=True)
+        frames, samples = exists.T.nonzero(as_tuple=True)
         lifted = like[:0]
         if len(frames):
             rigs = tuple(window.rigs[s][t] for s, t in zip(samples.tolist(), frames.tolist(), strict=True))
             sketched = window.sketched and part_of(window.sketched, samples, frames)
             lifted = self.lift(window.images[samples, frames], rigs, sketched).volume
-        counts = there.sum(0).tolist()
+        counts = exists.sum(0).tolist()
         parts = zip(lifted.split(counts), samples.split(counts), strict=True)
-        # slices and `zeros_like` keep channels last in memory
+        # parts and `zeros_like` keep the memory layout, channels last
         return [
             part if len(part) == len(like) else torch.zeros_like(like).index_copy(0, sample, part)
             for part, sample in parts

@@ -112,7 +112,7 @@ class Stream:
     ) -> None:
         assert not self.model.training
         lifted = self.model.lift(images, rigs, sketched)
-        known = self.model.known(lifted, rigs)
+        known = self.model.compute_hints(lifted, rigs)
         for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
             # copies: views would keep what belongs to the whole batch
             own = part_of(lifted.sketched, [index]), part_of(known, [index])

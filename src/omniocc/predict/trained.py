@@ -20,7 +20,7 @@ from omniocc.data.store.files import is_url
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
-from omniocc.parts import OF_TASK, Parts
+from omniocc.parts import TASK_KEYS, Parts
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.options import choose_device, load_rig
 from omniocc.predict.output.voxel_files import raise_grid
@@ -85,7 +85,7 @@ def load(checkpoint: str | Path, overrides: Sequence[str] = (), packages: Sequen
         UserError: when it is damaged or of an older version, or an override has no effect.
     """
     content = load_checkpoint(checkpoint)
-    check_overrides(content.path, overrides, ("depth", "data", *OF_TASK))
+    check_overrides(content.path, overrides, ("depth", "data", *TASK_KEYS))
     return Trained(content, apply_overrides(content.config, overrides), tuple(overrides), tuple(packages))
 
 
@@ -152,7 +152,7 @@ class Trained:
     def task(self) -> OccupancyTask:
         """Return the occupancy model with its losses and scores, in evaluation mode."""
         model = self.occupancy  # built first, within limits of its own (`building`)
-        self._check(*OF_TASK)
+        self._check(*TASK_KEYS)
         with building(self.path, self.checkpoint.weights):
             task = build_task(self._parts.without_pretrained(), self.data.spec, model)
         return load_weights(task, self.checkpoint.weights, self.path).eval()
@@ -260,7 +260,7 @@ def check_places(path: Path, source: SceneSource, given: Collection[str]) -> Non
             )
 
 
-def check_overrides(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *OF_TASK)) -> None:
+def check_overrides(path: Path, overrides: Sequence[str], parts: Sequence[str] = ("data", *TASK_KEYS)) -> None:
     """Check that each override of a checkpoint's configuration changes a single key of `parts`.
 
     Options (`model/sketch=...`), whole parts and the grid of the model cannot be changed.

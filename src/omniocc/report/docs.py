@@ -16,7 +16,7 @@ from omniocc.report.tables import robustness, training
 from omniocc.report.tables.budget import minutes_in_all, records
 from omniocc.report.tables.claims import Rows, rows_in
 from omniocc.report.tables.formats import Part, csv_text, parts_text
-from omniocc.report.tables.learning_rates import learning_rates
+from omniocc.report.tables.learning_rates import learning_rates_csv
 from omniocc.report.tables.names import method_names, named
 from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, table_cells
 from omniocc.report.tables.power import power_csv
@@ -130,7 +130,7 @@ def csv_files(sweep: Sweep, every: Sequence[FinishedRun]) -> dict[str, Callable[
         "presets": lambda: records(others) if others else "",
         "training": lambda: training.training_csv(training.runs_by_row(sweep), names),
         "tried": lambda: tried_csv(every, TRIED_AGAINST) if any(run.row == TRIED_AGAINST for run in every) else "",
-        "learning_rates": lambda: learning_rates(every),
+        "learning_rates": lambda: learning_rates_csv(every),
         "power": lambda: power_csv(sweep.tables, sweep.table_rows, sweep.seed_stds),
         "robustness": lambda: robustness.robustness_csv(tests, names) if tests else "",
     }

@@ -74,7 +74,7 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
     seed = OmegaConf.select(parts.cfg, "stages.occupancy.seed", default=config["seed"])
     return OccupancyTask(
         model,
-        *parts.of_task(),
+        *parts.task_parts(),
         ema_decay=parts.cfg.ema_decay,
         spec=spec,
         config=config,

@@ -18,7 +18,7 @@ from omniocc.draw import comparison_parts, comparison_sheet, depth_sheet, save_p
 from omniocc.errors import UserError
 from omniocc.runs.folder import PARTS
 from omniocc.runs.wandb.loggers import wandb_of
-from omniocc.runs.wandb.media import Named, range_media, voxel_media
+from omniocc.runs.wandb.media import MediaItem, range_media, voxel_media
 from omniocc.train.sketch import panorama
 
 
@@ -52,13 +52,13 @@ class FrameImages(Callback, ABC):
         self.folder = folder
         self.count = count
         self.classes = classes
-        self.shown: dict[str, list[Named]] = {}
+        self.shown: dict[str, list[MediaItem]] = {}
 
     @abstractmethod
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:
         """Return the sheet of one sample of a batch; `output` is what the task returned for it."""
 
-    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[MediaItem]]:
         """Return further media for W&B, by key."""
         return {}
 
@@ -70,7 +70,7 @@ class FrameImages(Callback, ABC):
             step = logged_step(trainer)
             self._save(f"val-step{step:06d}", sheet)
             for curves in wandb_of(trainer.loggers):
-                curves.log_media({f"val/{self.key}": [Named(sheet, batch.frame_ids[0])]}, step)
+                curves.log_media({f"val/{self.key}": [MediaItem(sheet, batch.frame_ids[0])]}, step)
 
     def on_test_batch_end(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int, *_: Any
@@ -90,7 +90,7 @@ class FrameImages(Callback, ABC):
                 for part, image in drawn.parts.items():
                     self._save(f"{PARTS}/{name}/{part}", image)
                 if wandb_of(trainer.loggers):
-                    media = {self.key: [Named(drawn.sheet, "")]} | self.media(pl_module, output, batch, sample)
+                    media = {self.key: [MediaItem(drawn.sheet, "")]} | self.media(pl_module, output, batch, sample)
                     self._show(media, frame_id)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
@@ -98,9 +98,9 @@ class FrameImages(Callback, ABC):
             curves.log_media(self.shown, trainer.global_step)
         self.shown = {}
 
-    def _show(self, media: dict[str, list[Named]], frame_id: str) -> None:
+    def _show(self, media: dict[str, list[MediaItem]], frame_id: str) -> None:
         for key, items in media.items():
-            named = [Named(item.content, " ".join([frame_id, item.caption]).strip()) for item in items]
+            named = [MediaItem(item.content, " ".join([frame_id, item.caption]).strip()) for item in items]
             self.shown.setdefault(f"test/{key}", []).extend(named)
 
     def _save(self, name: str, image: np.ndarray) -> None:
@@ -117,7 +117,7 @@ class OccupancyImages(FrameImages):
         parts = comparison_parts(images, truth, output, task.model.geometry, self.classes)
         return Drawn(comparison_sheet(parts, self.classes, batch.frame_ids[sample]), parts._asdict())
 
-    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[MediaItem]]:  # noqa: D102
         images, truth = newest_images(batch, sample), true_voxels(batch, sample, output)
         return voxel_media(images, batch.newest_rigs[sample], truth, output, task.model.geometry, self.classes)
 
@@ -132,7 +132,7 @@ class DepthImages(FrameImages):
         rig, frame_id = batch.newest_rigs[sample], batch.frame_ids[sample]
         return Drawn(depth_sheet(images, rig, task.model.panorama, output, truth, frame_id))
 
-    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[MediaItem]]:  # noqa: D102
         return range_media(output, true_range_m(batch, sample, output), task.model.panorama)
 
 

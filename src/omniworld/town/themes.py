@@ -1,4 +1,7 @@
-"""The eight themes; a new one is another `Theme` in `ALL`."""
+"""The themes: eight towns in `TOWNS`, and `SOLIDS`, streets between plain solids instead of houses.
+
+`ALL` has them by name; a new theme belongs there.
+"""
 
 from omniworld.mesh.material import Material
 from omniworld.town.theme import Theme

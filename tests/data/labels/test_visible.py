@@ -9,7 +9,7 @@ from kitti_files import LENSES
 
 from omniocc.camera import MEI, Equidistant, Rig
 from omniocc.camera.pose import pose_from_angles
-from omniocc.data.labels.visible import field_of_view, ray_traced, surface
+from omniocc.data.labels.visible import field_of_view_mask, ray_traced_mask, surface_cells
 from omniocc.geometry import Cuboid
 
 GRID = Cuboid((16, 16, 16), (-4, 4), (-4, 4), (-4, 4))
@@ -40,7 +40,7 @@ def sees(x, y, z):
 
 
 def test_the_field_of_view_is_that_of_the_full_model():
-    seen = field_of_view(GRID, rig_of(lens(), ((0.1, 0.2, 0.3), 90.0, 0.0, 0.0)))
+    seen = field_of_view_mask(GRID, rig_of(lens(), ((0.1, 0.2, 0.3), 90.0, 0.0, 0.0)))
     middles = np.arange(16) * 0.5 - 3.75
     expected = np.zeros((16, 16, 16), bool)
     for place in np.ndindex(16, 16, 16):
@@ -56,7 +56,7 @@ def test_the_two_masks_are_not_the_same():
     rig = rig_of(Equidistant(64, 64, 16.0, (31.5, 31.5), 60.0), ((0.1, 0.2, 0.3), 0.0, 0.0, 0.0))
     labels = torch.zeros(GRID.shape, dtype=torch.uint8)
     labels[12] = 1  # a wall ahead, from 2 to 2.5 m
-    view, rays = field_of_view(GRID, rig), ray_traced(GRID, labels, rig)
+    view, rays = field_of_view_mask(GRID, rig), ray_traced_mask(GRID, labels, rig)
     assert view[14, 8, 8]  # in view, hidden by the wall
     assert not rays[13:].any()
     assert rays[12, 4:12, 4:12].all()  # the first occupied cells are seen
@@ -69,7 +69,7 @@ def test_cameras_to_both_sides_see_together_what_nothing_hides():
     rig = rig_of(lens(), ((0.1, 0.2, 0.3), 90.0, 0.0, 0.0), ((0.1, -0.2, 0.3), -90.0, 0.0, 0.0))
     labels = torch.zeros(GRID.shape, dtype=torch.uint8)
     labels[:, 12] = labels[:, 3] = 7
-    seen = ray_traced(GRID, labels, rig)
+    seen = ray_traced_mask(GRID, labels, rig)
     assert seen[4:12, 3, 4:12].all()
     assert seen[4:12, 12, 4:12].all()
     assert not seen[:, 13:].any()
@@ -81,7 +81,7 @@ def test_rays_cross_the_cells_that_an_exact_traversal_finds():
     labels = (torch.rand(grid.shape, generator=torch.Generator().manual_seed(3)) < 0.15).to(torch.uint8)
     rig = rig_of(lens(), ((0.1713, 0.4127, -0.2659), 37.0, 12.0, 0.0))
     pose = rig.ego_from_camera[0]
-    places = torch.from_numpy(surface(grid.shape))
+    places = torch.from_numpy(surface_cells(grid.shape))
     middles = grid.centers(torch.float64)[places.unbind(1)]
     ways = middles - pose[:3, 3]
     ways, ends = ways[ways @ pose[:3, 2] > 0], places[ways @ pose[:3, 2] > 0]
@@ -93,12 +93,12 @@ def test_rays_cross_the_cells_that_an_exact_traversal_finds():
             if labels.flatten()[cell]:
                 break
     assert 100 < int(expected.sum()) < grid.num_cells - 20
-    assert torch.equal(ray_traced(grid, labels, rig).flatten(), expected)
+    assert torch.equal(ray_traced_mask(grid, labels, rig).flatten(), expected)
 
 
 def test_what_is_impossible_is_named():
     rig = rig_of(lens(), ((9.0, 0.0, 0.0), 0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="camera 'c0' is outside of the volume"):
-        ray_traced(GRID, torch.zeros(GRID.shape, dtype=torch.uint8), rig)
+        ray_traced_mask(GRID, torch.zeros(GRID.shape, dtype=torch.uint8), rig)
     with pytest.raises(ValueError, match=r"the shape of their grid, \(16, 16, 16\), got \(1, 1, 1\)"):
-        ray_traced(GRID, torch.zeros(1, 1, 1, dtype=torch.uint8), rig)
+        ray_traced_mask(GRID, torch.zeros(1, 1, 1, dtype=torch.uint8), rig)

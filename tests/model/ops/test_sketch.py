@@ -8,7 +8,7 @@ from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.ops.padding import Conv3d
 from omniocc.model.ops.sketch import (
-    Asymmetric,
+    AsymmetricBlock,
     Context,
     Cylinder3D,
     PointEncoder,
@@ -192,7 +192,7 @@ def test_blocks_reach_as_far_as_their_kernels_say():
         return {tuple(cell) for cell in touched.tolist()}
 
     box = {(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-2, -1, 0, 1)}  # z ends at +1
-    assert reach(Asymmetric(8, 8, NETWORK_GRID.periodic)) == box
+    assert reach(AsymmetricBlock(8, 8, NETWORK_GRID.periodic)) == box
     cross = {(0, 0, 0)} | {tuple(step * (i == axis) for i in range(3)) for axis in range(3) for step in (-1, 1)}
     assert reach(Context(8, NETWORK_GRID.periodic)) == cross
 

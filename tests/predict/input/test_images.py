@@ -7,7 +7,7 @@ from PIL import Image
 from omniocc.camera import Equidistant, KannalaBrandt, Rig
 from omniocc.errors import UserError
 from omniocc.predict import FrameFiles, find_frames, read_frame, resized_to_width
-from omniocc.predict.input.images import even_size, ignored_images, remarks
+from omniocc.predict.input.images import describe_ignored_images, even_size, remarks
 
 CAMERAS = (Equidistant(64, 36, 19.0, (31.5, 17.5), 95.0), Equidistant(96, 54, 28.0, (47.5, 26.5), 95.0))
 RIG = Rig(CAMERAS, torch.eye(4, dtype=torch.float64).expand(2, 4, 4), ("front", "back"))
@@ -52,11 +52,11 @@ def test_a_list_of_files_named_as_the_cameras_may_have_any_order(tmp_path):
 
 def test_an_image_of_no_camera_of_the_rig_is_told(tmp_path):
     paths = [save(tmp_path / name) for name in ("front.png", "back.png")]
-    assert ignored_images(find_frames(str(tmp_path), RIG), RIG) == ""
+    assert describe_ignored_images(find_frames(str(tmp_path), RIG), RIG) == ""
     save(tmp_path / "left.png")
-    assert "left.png" in ignored_images(find_frames(str(tmp_path), RIG, ["back"]), RIG)
+    assert "left.png" in describe_ignored_images(find_frames(str(tmp_path), RIG, ["back"]), RIG)
     listed = find_frames([str(tmp_path / "left.png"), str(paths[1])], RIG)
-    assert ignored_images(listed, RIG) == ""
+    assert describe_ignored_images(listed, RIG) == ""
 
 
 def test_a_lens_that_ends_near_its_axis_is_told_beside_images_that_are_not_used(tmp_path):

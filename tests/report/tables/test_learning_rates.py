@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.learning_rates import common_name, learning_rates, tried_rates
+from omniocc.report.tables.learning_rates import common_name, learning_rates_csv, tuned_systems
 
 SCORE = "validation voxel RayIoU"
 
@@ -32,28 +32,29 @@ RUNS = [
 
 
 def test_systems_are_told_by_everything_but_the_rate():
-    found = {tried.name: tried for tried in tried_rates(RUNS)}
+    found = {tried.name: tried for tried in tuned_systems(RUNS)}
     assert list(found) == ["bevdet", "ours", "ours_far"]
     assert {rate: [run.name for run in runs] for rate, runs in found["ours"].runs.items()} == {
         0.001: ["ours_001-00000000"],
         0.003: ["ours_003-00000000"],
         0.01: ["ours_01-00000000"],
     }
-    assert {name: tried.chosen for name, tried in found.items()} == {"bevdet": 0.01, "ours": 0.003, "ours_far": 0.003}
+    rates = {name: system.best_rate for name, system in found.items()}
+    assert rates == {"bevdet": 0.01, "ours": 0.003, "ours_far": 0.003}
 
 
 def test_a_later_key_that_is_null_tells_no_runs_apart_and_one_that_is_set_does():
     later = [run("ours_01", 0.01, 0, 0.35), run("ours_01", 0.01, 0, 0.35)]
     for member, value in zip(later, (None, 2), strict=True):
         member.config["model"]["heads"] = value
-    assert [[*tried.runs] for tried in tried_rates([*RUNS[:2], later[0]])] == [[0.001, 0.003, 0.01]]
-    assert [[*tried.runs] for tried in tried_rates([*RUNS[:2], later[1]])] == [[0.001, 0.003]]
+    assert [[*tried.runs] for tried in tuned_systems([*RUNS[:2], later[0]])] == [[0.001, 0.003, 0.01]]
+    assert [[*tried.runs] for tried in tuned_systems([*RUNS[:2], later[1]])] == [[0.001, 0.003]]
 
 
 def test_two_seeds_are_averaged_if_all_rates_have_them():
     second = [run("ours_001", 0.001, 1, 0.50), run("ours_003", 0.003, 1, 0.40)]
-    (tried,) = tried_rates([*RUNS[:2], *second])
-    assert tried.chosen == 0.001
+    (tried,) = tuned_systems([*RUNS[:2], *second])
+    assert tried.best_rate == 0.001
     first, other = told([*RUNS[:2], *second])
     assert (first["learning rate"], first[f"{SCORE}, mean"], first["seeds"], first["chosen"]) == (
         "0.001",
@@ -68,12 +69,12 @@ def test_the_file_has_validation_scores_alone():
     lines = told(RUNS)
     assert [line[f"{SCORE}, mean"] for line in lines if line["system"] == "ours"] == ["0.3", "0.36", "0.35"]
     assert [line["learning rate"] for line in lines if line["chosen"] == "yes"] == ["0.01", "0.003", "0.003"]
-    assert "0.64" not in learning_rates(RUNS)
-    assert learning_rates(RUNS[-3:-2]) == ""
+    assert "0.64" not in learning_rates_csv(RUNS)
+    assert learning_rates_csv(RUNS[-3:-2]) == ""
 
 
 def told(runs: list[FinishedRun]) -> list[dict[str, str]]:
-    return list(csv.DictReader(learning_rates(runs).splitlines()))
+    return list(csv.DictReader(learning_rates_csv(runs).splitlines()))
 
 
 @pytest.mark.parametrize(

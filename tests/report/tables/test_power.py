@@ -66,12 +66,12 @@ def runs(name: str, *values: float) -> list[FinishedRun]:
 
 def test_the_standard_deviations_of_the_runs_are_measured_where_rows_have_two_seeds():
     rows = {"ours": runs("ours", 0.30, 0.34), "wo_dilation": runs("wo", 0.20, 0.22), "dense": runs("dense", 0.1, 0.1)}
-    found = power.measured(TABLES, rows, KEY)
+    found = power.measure_seed_std(TABLES, rows, KEY)
     assert found is not None
     # of `ours` and `dense`; and of ours - wo_dilation, which is .1 and .12, for one of the two
     assert found.systems == pytest.approx(np.sqrt((0.0008 + 0) / 2))
     assert found.parts == pytest.approx(np.std([0.10, 0.12], ddof=1) / np.sqrt(2))
-    assert power.measured(TABLES, {"ours": runs("ours", 0.3)}, KEY) is None
+    assert power.measure_seed_std(TABLES, {"ours": runs("ours", 0.3)}, KEY) is None
 
 
 def needed(tables: list[PaperTable], rows: Rows, *stds: SeedStd) -> dict[str, list[str]]:

@@ -16,7 +16,7 @@ from omniocc.errors import UserError
 from omniocc.report.wandb import dashboard, upload
 from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import check_login, finish, run_id, wandb_of
-from omniocc.runs.wandb.media import Named
+from omniocc.runs.wandb.media import MediaItem
 
 CONFIG = {"name": "mono", "seed": 3, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
 
@@ -54,7 +54,7 @@ def made_run(folder, mode):
         logger.log_metrics({"train/loss": 2.5}, 1)
         logger.log_metrics({"test/rayiou": 0.5, "test/rayiou/Road": 0.25}, 2)
     for curves in wandb_of(loggers):
-        curves.log_media({"test/bev": [Named(np.zeros((4, 4, 3), np.uint8), "scene/0")]}, 2)
+        curves.log_media({"test/bev": [MediaItem(np.zeros((4, 4, 3), np.uint8), "scene/0")]}, 2)
     finish(loggers)
     wandb.teardown()
     os.environ.pop("WANDB_MODE", None)  # Lightning sets it for an offline run

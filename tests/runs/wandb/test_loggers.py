@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader
 from omniocc.errors import UserError
 from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import finish, log_earlier_stages, log_file, result_tables, rows_in_csv, wandb_of
-from omniocc.runs.wandb.media import Named
+from omniocc.runs.wandb.media import MediaItem
 
 CONFIG = {
     "name": "mono",
@@ -88,8 +88,8 @@ def resumed(tmp_path_factory):
     for curves in wandb_of(second.loggers):
         cloud = np.array([[1.0, 2.0, 0.5, 128, 64, 128]])
         media = {
-            "test/bev": [Named(np.zeros((4, 4, 3), np.uint8), "scene/0 truth")],
-            "test/points": [Named(cloud, "a")],
+            "test/bev": [MediaItem(np.zeros((4, 4, 3), np.uint8), "scene/0 truth")],
+            "test/points": [MediaItem(cloud, "a")],
         }
         curves.log_media(media, second.global_step)
     finish(second.loggers)
@@ -186,7 +186,7 @@ def test_the_half_written_line_of_a_kill_is_not_taken_for_logged(tmp_path):
 
 def test_a_killed_run_repeats_neither_its_scalars_nor_their_images(tmp_path):
     """The CSV file ends with the validation of step 3, the checkpoint is older."""
-    recipe, image = Loggers("offline", "p", None, []), Named(np.zeros((4, 4, 3), np.uint8), "x")
+    recipe, image = Loggers("offline", "p", None, []), MediaItem(np.zeros((4, 4, 3), np.uint8), "x")
     killed, *_ = recipe.build(tmp_path, CONFIG, "occupancy")
     killed.log_metrics({"train/loss": 2.0, "epoch": 0}, 2)
     killed.log_metrics({"val/rayiou": 0.1}, 3)

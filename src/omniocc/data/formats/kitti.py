@@ -18,8 +18,8 @@ from omniocc.io import atomic_write, number_of, read_bytes
 SHAPE = (256, 256, 32)
 CELLS = 256 * 256 * 32
 LOW_M, CELL_M = (0.0, -25.6, -2.0), 0.2
-"""Lowest corner of the voxels, velodyne frame (x forward, y left, z up), and their size."""
-TR = "take calib.txt from the archive of the Velodyne scans; that of the images has no line 'Tr:'"
+"""Lowest corner of the grid, velodyne frame (x forward, y left, z up), and the size of a voxel."""
+CALIBRATION_REMEDY = "take calib.txt from the archive of the Velodyne scans; that of the images has no line 'Tr:'"
 
 _COLORS = {
     "car": (100, 150, 245),
@@ -99,7 +99,7 @@ SEMANTIC_KITTI_IDS = {
     19: (81,),
     UNKNOWN: (1, 52, 99),
 }
-"""Ids in files of each class, that of submissions first; 255 are those that do not count (semantic-kitti.yaml)."""
+"""Ids of each class in label files (semantic-kitti.yaml); submissions have the first. Ids under 255 do not count."""
 SSCBENCH_IDS = {
     1: (10, 252),
     2: (11,),
@@ -121,12 +121,12 @@ SSCBENCH_IDS = {
     18: (99,),
     UNKNOWN: (1, 31, 32, 71, 253, 255),
 }
-"""The same of SSCBench-KITTI-360 (dataset/configs/kitti360.yaml)."""
+"""The same table for SSCBench-KITTI-360 (dataset/configs/kitti360.yaml)."""
 
 
 def classes_by_id(ids: dict[int, tuple[int, ...]]) -> np.ndarray:
-    """Return a table for `map_classes` of voxels: 0 is empty, ids that count for nothing are 255."""
-    return class_table({0: 0} | {raw: class_id for class_id, raws in ids.items() for raw in raws})
+    """Return the table by which `map_classes` maps ids of voxels: 0 is empty, ids that do not count become 255."""
+    return class_table({0: 0} | {raw_id: class_id for class_id, raw_ids in ids.items() for raw_id in raw_ids})
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "256 256 32"]:
@@ -145,13 +145,13 @@ def read_mask(path: Path) -> Bool[np.ndarray, "256 256 32"]:
 
 
 def read_point_classes(path: Path, table: np.ndarray, kept: Bool[np.ndarray, " R"]) -> UInt8[np.ndarray, " P"]:
-    """Return the classes of the points of a scan, the rows that are `kept`, from its `.label` file; 255 unlabelled."""
-    classes = map_classes(read_point_ids(path, kept) & 0xFFFF, table, path)  # the upper half numbers instances
+    """Return the classes of the `kept` points of a scan from its `.label` file; 255 for unlabelled points."""
+    classes = map_classes(read_point_ids(path, kept) & 0xFFFF, table, path)  # the upper 16 bits number instances
     return np.where(classes == 0, UNKNOWN, classes).astype(np.uint8)
 
 
 def read_point_ids(path: Path, kept: Bool[np.ndarray, " R"]) -> UInt32[np.ndarray, " P"]:
-    """Return the ids of the points of a scan, the rows that are `kept`, from its `.label` file.
+    """Return the ids of the `kept` points of a scan from its `.label` file.
 
     Raises:
         DataError: when the file cannot be read, or labels another number of points.
@@ -164,33 +164,33 @@ def read_point_ids(path: Path, kept: Bool[np.ndarray, " R"]) -> UInt32[np.ndarra
 
 
 def write_prediction(path: Path, classes: UInt8[np.ndarray, "256 256 32"], ids: dict[int, tuple[int, ...]]) -> None:
-    """Write classes as a submission: ids of 16 bits; raise DataError when the disk refuses."""
+    """Write classes as a submission, in ids of 16 bits; raise DataError if the file cannot be written."""
     table = np.zeros(256, "<u2")
-    for class_id, raws in ids.items():
-        table[class_id] = raws[0]
+    for class_id, raw_ids in ids.items():
+        table[class_id] = raw_ids[0]
     atomic_write(path, table[classes].tobytes())
 
 
 def read_calibration(path: Path) -> dict[str, Float64[np.ndarray, "3 4"]]:
     """Return the matrices of a `calib.txt` by name, 'Tr' among them; raise DataError naming the line that is wrong."""
-    found = {}
+    matrices = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         name, _, values = line.partition(":")
         if not values.strip():
             continue
-        if name.strip() in found:
+        if name.strip() in matrices:
             raise DataError(f"{path}, line {number}: '{name.strip()}:' stands twice; keep one")
         try:
-            found[name.strip()] = np.reshape([number_of(word) for word in values.split()], (3, 4))
+            matrices[name.strip()] = np.reshape([number_of(word) for word in values.split()], (3, 4))
         except ValueError as error:
             raise DataError(f"{path}, line {number}: '{name}' are not 12 numbers") from error
-    if "Tr" not in found:
-        raise DataError(f"{path}: the line 'Tr:' is missing; {TR}")
+    if "Tr" not in matrices:
+        raise DataError(f"{path}: the line 'Tr:' is missing; {CALIBRATION_REMEDY}")
     try:
-        rigid(found["Tr"], "Tr")
+        rigid(matrices["Tr"], "Tr")
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
-    return found
+    return matrices
 
 
 def camera_of(
@@ -198,10 +198,10 @@ def camera_of(
 ) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4 4"]]:
     """Return the intrinsics of a rectified camera and its pose `velodyne_from_camera`.
 
-    `P` of a camera holds its distance from camera 0 times its intrinsics in the last column.
+    The last column of a camera's `P` is its intrinsics times its translation `camera_from_first`, from camera 0.
 
     Raises:
-        ValueError: if the camera is missing or the pose no rotation.
+        ValueError: if the camera is missing, or `Tr` is not a rigid pose.
     """
     if f"P{number}" not in calibration:
         raise ValueError(f"there is no camera {number} in the calibration")
@@ -213,9 +213,9 @@ def camera_of(
 
 
 def read_poses(path: Path, first_from_velodyne: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "F 4 4"]:
-    """Return the poses of the velodyne, world_from_velodyne, of a `poses.txt` of camera 0.
+    """Return the poses `world_from_velodyne` from a `poses.txt`, which has those of camera 0.
 
-    The world is the velodyne frame of the first scan. `first_from_velodyne` is the pose `Tr` of the calibration.
+    The world is the velodyne frame of the first scan. `first_from_velodyne` is `Tr` of the calibration, to camera 0.
 
     Raises:
         DataError: naming the line that is no pose.
@@ -225,7 +225,7 @@ def read_poses(path: Path, first_from_velodyne: Float64[np.ndarray, "4 4"]) -> F
 
 
 def is_first_release(occupied: Bool[np.ndarray, "F 256 256 32"]) -> bool:
-    """Return whether `.bin` voxels of some frames are of the release of 2019, which lies one cell too high.
+    """Return whether the `.bin` voxels of some frames are from the release of 2019, which is one cell too high.
 
     Its lowest layer is always empty (https://github.com/PRBonn/semantic-kitti-api/issues/49).
     """

@@ -31,7 +31,7 @@ from omniocc.data.formats.kitti360 import (
 )
 from omniocc.data.formats.poses import inverse, shift, transform_points
 from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
-from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
+from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view_mask, ray_traced_mask
 from omniocc.data.labels.voxels import vote
 from omniocc.data.source import (
     SPLITS,
@@ -166,7 +166,7 @@ class KITTI360:
     def in_view(self) -> Bool[Tensor, "X Y Z"]:
         """Return the cells of the volume in the field of view, the same in every frame."""
         assert self.volume is not None
-        return field_of_view(self.volume, self.rig)
+        return field_of_view_mask(self.volume, self.rig)
 
     @cached_property
     def rig(self) -> Rig:
@@ -264,7 +264,7 @@ class KITTI360Scene(DatasetScene):
         if "field_of_view" in source.masks:
             kept &= source.in_view
         if "ray_traced" in source.masks:
-            kept &= ray_traced(source.volume, voxels, self.rig)
+            kept &= ray_traced_mask(source.volume, voxels, self.rig)
         return kept
 
     def _scan(self, place: int) -> tuple[np.ndarray, np.ndarray]:

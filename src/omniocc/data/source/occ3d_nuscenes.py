@@ -32,7 +32,7 @@ from omniocc.data.source import Benchmark, BenchmarkFrame, Ignore, SourceSpec, S
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Cuboid, Grid
 from omniocc.io import atomic_write
-from rayiou.directions import RayOrigins, eight_frames
+from rayiou.directions import RayOrigins, origin_frames
 
 SHAPE = (200, 200, 16)
 ORIGIN_M = (0.8, 0.0, 1.8)
@@ -263,7 +263,7 @@ class Occ3DScene(DatasetScene):
         world_from_lidar = frames.world_from_ego @ frames.ego_from_lidar
         ego_from_world = inverse(frames.world_from_ego[frame])
         positions_m = torch.from_numpy(transform_points(ego_from_world, world_from_lidar[:, :3, 3]))
-        chosen = eight_frames(positions_m)
+        chosen = origin_frames(positions_m)
         positions_m = positions_m[chosen] - torch.tensor(ORIGIN_M, dtype=torch.float64)
         return RayOrigins(positions_m.float(), chosen - frame)
 

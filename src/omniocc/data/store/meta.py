@@ -1,4 +1,4 @@
-"""What `meta.json` and the index say of a scene that was recorded: its spec, facts, times and poses."""
+"""Contents of `meta.json` and of the index of a recorded scene: its spec, facts, times and poses."""
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -16,23 +16,27 @@ from rayiou.cylinder import PAPER_RANGE_EDGES_M
 from rayiou.directions import sparseocc_directions
 
 DRAWN_RIG = "random"
-"""The rig in the recipe of scenes of which each has drawn cameras."""
+"""Value of `rig` in the recipe of scenes that each have a randomly drawn rig."""
 RENDERED_REACH_M = (26.0, 26.0, 6.0)
-"""Distances from the ego origin along x, y and z at which the points of rendered scenes end."""
-MOST_EDGES = 100
-"""Most ends of bands of ranges that are read."""
+"""Points of rendered scenes end at these distances from the ego origin along x, y and z."""
+MAX_EDGES = 100
+"""Largest number of edges of distance bands that a spec may have."""
 
 SOFTWARE = ("numpy", "opencv-python-headless", "zstandard")
 """Packages whose versions are written beside the frames."""
 
 
 def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float | None) -> SourceSpec:
-    """Return the spec of scenes in our format: the bands of ranges of the paper, and the LiDAR rays of SparseOcc."""
+    """Return the spec of recorded scenes, with the paper's distance bands and the LiDAR rays of SparseOcc."""
     return SourceSpec(classes, PAPER_RANGE_EDGES_M, frame_interval_s, road_z_m, sparseocc_directions())
 
 
 def panorama_of(given: Sequence[float]) -> Equirectangular:
-    """Return the panorama of a width and height (px), an upper and a lower edge (deg); raise ValueError for others."""
+    """Return the panorama of four numbers: width and height (px), elevations of upper and lower edge (deg).
+
+    Raises:
+        ValueError: if there are not four, or they make no panorama.
+    """
     if len(given) != 4:
         raise ValueError(f"panorama is {list(given)}; give width and height, px, upper and lower edge, deg")
     width, height, top_deg, bottom_deg = given
@@ -55,7 +59,7 @@ def read_spec(plain: dict[str, Any]) -> SourceSpec:
     Raises:
         KeyError, TypeError, ValueError: if something is missing or makes no sense.
     """
-    numbers("range_edges_m", plain["range_edges_m"], 2, MOST_EDGES)
+    numbers("range_edges_m", plain["range_edges_m"], 2, MAX_EDGES)
     positive("frame_interval_s", plain["frame_interval_s"])
     if plain["road_z_m"] is not None:
         finite("road_z_m", plain["road_z_m"])
@@ -69,7 +73,7 @@ def read_spec(plain: dict[str, Any]) -> SourceSpec:
 
 
 def append_frame(writer: SceneWriter, frame: Frame | RecordedFrame) -> None:
-    """Write a frame, with its time and pose in the index."""
+    """Append a frame to the scene, and its time and pose to the index."""
     entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
     writer.append(encode_frame(frame), entry)
 
@@ -82,7 +86,7 @@ def finish_scene(
     facts: Mapping[str, Any],
     software: Sequence[str] = SOFTWARE,
 ) -> None:
-    """Write the calibration, the facts about the scene and the versions of packages, and complete the scene.
+    """Write the calibration, the facts about the scene and the versions of `software`; mark the scene as complete.
 
     `edges_deg` are the elevations of the upper and lower edge of its panoramas of ranges.
     """

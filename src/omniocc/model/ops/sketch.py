@@ -1,4 +1,4 @@
-"""What a sketch computes: points of a panorama of ranges, gaps between cells and ranges, and a 3D network."""
+"""Parts of a sketch: points of a panorama of ranges, gaps between cells and ranges, and a 3D network."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -19,8 +19,8 @@ from omniocc.model.ops.static import is_static
 
 GAP_CHANNELS = 4
 """Channels of range gaps: known fraction, and the gap at three scales."""
-ACROSS_SECOND: Axes = (3, 1, 3)
-ACROSS_FIRST: Axes = (1, 3, 3)
+KERNEL_XZ: Axes = (3, 1, 3)
+KERNEL_YZ: Axes = (1, 3, 3)
 
 
 def pseudo_points(
@@ -31,23 +31,22 @@ def pseudo_points(
     return torch.where(valid.unsqueeze(-1), points, torch.nan).flatten(1, 2)
 
 
-def still_axes(geometry: Grid) -> list[int]:
+def non_periodic_axes(geometry: Grid) -> list[int]:
     """Return the axes that do not wrap around."""
     return [axis for axis in range(3) if not geometry.periodic[axis]]
 
 
 def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
-    """Return the features that Cylinder3D has of points in the grid (ego frame, m): offset in the cell, place, range.
+    """Return Cylinder3D's features of points in the grid (ego frame, m): offset in the cell, position, range.
 
-    Offsets from the cell's centre are in cells, places from -1 to 1 over the grid, ranges in units of the grid's reach.
-    Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
+    Offsets from the cell's centre are in cells, positions from -1 to 1 over the grid, ranges in units of the grid's
+    reach. Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
     """
-    places = torch.stack(geometry.coordinates(points), dim=-1)
-    offset = places - places.floor() - 0.5
+    coordinates = torch.stack(geometry.coordinates(points), dim=-1)
+    offset = coordinates - coordinates.floor() - 0.5
     cells = torch.tensor(geometry.shape, device=points.device)
-    axes = still_axes(geometry)
-    coordinates = (2 * places / cells - 1)[:, axes]
-    return torch.cat([offset, coordinates, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
+    position = (2 * coordinates / cells - 1)[:, non_periodic_axes(geometry)]
+    return torch.cat([offset, position, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
 
 
 @lru_cache(maxsize=16)
@@ -59,7 +58,7 @@ def reach_m(geometry: Grid) -> float:
 def voxel_max(
     features: Float[Tensor, "P C"], cells: Int64[Tensor, " P"], num_cells: int
 ) -> Float[Tensor, "num_cells C"]:
-    """Return the largest value of each feature among the points of a cell; 0 if negative or without points."""
+    """Return the maximum of each feature over the points of a cell, at least 0; 0 in cells without points."""
     index = cells.unsqueeze(1).expand_as(features)
     return features.new_zeros(num_cells, features.shape[1]).scatter_reduce(0, index, features, "amax")
 
@@ -71,7 +70,7 @@ class PointEncoder(nn.Module):
         super().__init__()
         self.geometry = geometry
         self.channels = channels
-        self.hidden = nn.Linear(4 + len(still_axes(geometry)), channels)
+        self.hidden = nn.Linear(4 + len(non_periodic_axes(geometry)), channels)
         self.out = nn.Linear(channels, channels)
 
     def forward(self, points: Float[Tensor, "B P 3"]) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
@@ -82,12 +81,12 @@ class PointEncoder(nn.Module):
         cells, inside = self.geometry.flat_index(points)
         cells = cells + torch.arange(len(points), device=points.device).unsqueeze(1) * self.geometry.num_cells
         static = is_static()
-        points, places = (points.flatten(0, 1), cells.flatten()) if static else (points[inside], cells[inside])
+        points, cells = (points.flatten(0, 1), cells.flatten()) if static else (points[inside], cells[inside])
         encoded = F.relu(self.out(F.relu(self.hidden(point_features(points, self.geometry)))))
-        marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
+        with_mask = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
         if static:  # ignored points add zeros, which do not change the maximum
-            marked = torch.where(inside.flatten()[:, None], marked, 0)
-        volume = voxel_max(marked, places, len(inside) * self.geometry.num_cells)
+            with_mask = torch.where(inside.flatten()[:, None], with_mask, 0)
+        volume = voxel_max(with_mask, cells, len(inside) * self.geometry.num_cells)
         volume = volume.reshape(len(inside), *self.geometry.shape, -1).movedim(-1, 1)
         return volume[:, :-1], volume[:, -1:]
 
@@ -99,7 +98,7 @@ def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K 
 
 
 class SamplePixels(NamedTuple):
-    """Row-major pixels in the directions of cells' samples, their distances, and whether the panorama covers them."""
+    """Row-major index of the pixel on which each sample falls, the sample's distance, and whether a pixel sees it."""
 
     pixel: Int64[Tensor, "K cells"]
     distance_m: Float[Tensor, "K cells"]
@@ -107,7 +106,7 @@ class SamplePixels(NamedTuple):
 
 
 def sample_pixels(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> SamplePixels:
-    """Look up the pixel in the direction of every sample."""
+    """Return the pixel in the direction of every sample."""
     points = cell_samples(geometry, per_axis).flatten(1, 3)
     pixels, inside = panorama.project(points)
     column = pixels[..., 0].round().long().remainder(panorama.width)
@@ -121,13 +120,15 @@ def range_gaps(
     """Compare the distance of each cell's samples with the range seen in their direction.
 
     Returns:
-        The fraction of samples whose direction has a valid range; then means over all samples, 0 for those without, of
-        the gap range - distance cut off at one step and at four, and of log(range / distance) cut off at 1. Positive is
-        in front of the seen surface: free. Around 0 is the surface. Negative is hidden behind it: unknown.
+        Four channels. The first is the fraction of samples whose direction has a valid range. The others are means over
+        all samples, to which samples without one add 0: range - distance in steps; the same in units of four steps;
+        and log(range / distance), each clipped to [-1, 1]. A gap is positive in front of the seen surface (free),
+        around 0 at the surface, and negative behind it (hidden, unknown).
     """
     seen = range_m.float().flatten(1)[:, samples.pixel]
     known = valid.flatten(1)[:, samples.pixel] & samples.inside
     gap = torch.where(known, (seen - samples.distance_m) / step_m, 0)
+    # at least 1 mm: no division by zero
     ratio = torch.where(known, seen.clamp(min=1e-3) / samples.distance_m.clamp(min=1e-3), 1)
     parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
     return torch.stack([part.mean(1) for part in parts], dim=1)
@@ -137,8 +138,8 @@ class RangeGaps(nn.Module):
     """Compute the range gaps (see `range_gaps`) of every cell of a grid; no parameters.
 
     Args:
-        panorama: of the ranges, around the ego origin.
-        samples: points of each cell along each axis.
+        panorama: panorama of the ranges, around the ego origin.
+        samples: number of samples of each cell along each axis.
     """
 
     pixel: Tensor
@@ -153,14 +154,14 @@ class RangeGaps(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 4 X Y Z"]:
-        """Return the gaps from finite ranges (m) and where they are valid."""
+        """Return the gaps, from finite ranges (m) and a mask of the valid ones."""
         pixels = SamplePixels(self.pixel, self.distance_m, self.inside)
         gaps = range_gaps(range_m, valid, pixels, self.geometry.cell_m[0])
         return gaps.unflatten(2, self.geometry.shape)
 
 
 class ConvNorm(nn.Module):
-    """Apply convolution, leaky ReLU and norm, in the order of Cylinder3D."""
+    """Apply convolution, leaky ReLU and norm, in this order, as Cylinder3D does."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
         super().__init__()
@@ -172,7 +173,7 @@ class ConvNorm(nn.Module):
         return self.norm(F.leaky_relu(self.conv(volume)))
 
 
-class Asymmetric(nn.Module):
+class AsymmetricBlock(nn.Module):
     """Apply an asymmetric residual block: the sum of kernels 3x1x3 then 1x3x3, and 1x3x3 then 3x1x3."""
 
     def __init__(self, in_channels: int, out_channels: int, periodic: Periodic):
@@ -184,8 +185,8 @@ class Asymmetric(nn.Module):
                 ConvNorm(out_channels, out_channels, second, periodic),
             )
 
-        self.first = branch(ACROSS_SECOND, ACROSS_FIRST)
-        self.second = branch(ACROSS_FIRST, ACROSS_SECOND)
+        self.first = branch(KERNEL_XZ, KERNEL_YZ)
+        self.second = branch(KERNEL_YZ, KERNEL_XZ)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
         """Return a volume of the same size."""
@@ -230,11 +231,11 @@ class Cylinder3D(nn.Module):
         check_halvings(geometry, len(channels))
         periodic = self.periodic = geometry.periodic
         pairs = list(pairwise(channels))
-        self.stem = Asymmetric(in_channels, channels[0], periodic)
+        self.stem = AsymmetricBlock(in_channels, channels[0], periodic)
         self.down = nn.ModuleList(Downsample(fine, coarse, periodic) for fine, coarse in pairs)
-        self.encoder = nn.ModuleList(Asymmetric(coarse, coarse, periodic) for _, coarse in pairs)
+        self.encoder = nn.ModuleList(AsymmetricBlock(coarse, coarse, periodic) for _, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Asymmetric(fine, fine, periodic) for fine, _ in pairs[1:])
+        self.decoder = nn.ModuleList(AsymmetricBlock(fine, fine, periodic) for fine, _ in pairs[1:])
         self.context = Context(channels[0], periodic)
         self.out = Conv3d(2 * channels[0], out_channels, 3, periodic)
 

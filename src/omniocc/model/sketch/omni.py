@@ -13,7 +13,7 @@ from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
 from omniocc.model.ops.evidence import pack_evidence, sight_of
 from omniocc.model.ops.padded import Rigs
-from omniocc.model.ops.sketch import GAP_CHANNELS, Cylinder3D, PointEncoder, RangeGaps, pseudo_points, still_axes
+from omniocc.model.ops.sketch import GAP_CHANNELS, Cylinder3D, PointEncoder, RangeGaps, non_periodic_axes, pseudo_points
 from omniocc.model.protocols import Depth, Sketched
 
 
@@ -26,7 +26,7 @@ def cell_coordinates(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
     """Return the coordinates of each cell along the axes that do not wrap around, from -1 to 1."""
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
-    return torch.stack([grids[axis] for axis in still_axes(geometry)])
+    return torch.stack([grids[axis] for axis in non_periodic_axes(geometry)])
 
 
 def log_odds(logits: Float[Tensor, "B 2 X Y Z"]) -> Float32[Tensor, "B X Y Z"]:

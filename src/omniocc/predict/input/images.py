@@ -23,70 +23,71 @@ class FrameFiles(NamedTuple):
     """One frame of a sequence.
 
     Attributes:
-        name: of its folder; empty for a single frame.
-        files: image of every camera, None for the cameras that are left out.
-        depth: of images of 16 bits.
+        name: name of its folder; empty for a single frame.
+        files: image file of every camera; None for cameras that are left out.
+        bit_depth: number of bits that samples of 16-bit images use.
     """
 
     name: str
     files: tuple[Path | None, ...]
-    depth: Depth = Depth(key="image_bits")
+    bit_depth: Depth = Depth(key="image_bits")
 
 
 def find_frames(
     images: str | Sequence[str], rig: Rig, excluded: Sequence[str] = (), image_bits: int | None = None
 ) -> list[FrameFiles]:
-    """Return the frames in the order of time, with the files of every camera of the rig.
+    """Return the frames with the files of every camera of the rig, ordered by the numbers in their folders' names.
 
     Args:
         images: a folder with one image per camera, named as the camera; or a folder of such folders, one per frame;
-            or one file per camera, in the rig's order, or in any where all are named as the cameras.
+            or a list of one file per camera, in the rig's order. Files named as the cameras may have any order.
         rig: the cameras.
         excluded: names of the cameras to leave out; their files may be missing.
-        image_bits: how many of the bits of images of 16 are used; None: not known.
+        image_bits: number of bits that samples of 16-bit images use; None: not known.
 
     Raises:
         UserError: naming the file or camera that is missing, superfluous or misspelt, or the impossible number of bits.
     """
     check_excluded(excluded, rig)
-    depth = Depth(image_bits, "image_bits")
-    return [frame._replace(depth=depth) for frame in _found(images, rig, excluded)]
+    bit_depth = Depth(image_bits, "image_bits")
+    return [frame._replace(bit_depth=bit_depth) for frame in _match_frames(images, rig, excluded)]
 
 
-def _found(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
+def _match_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
     if not isinstance(images, str):
-        return [_listed([Path(path) for path in images], rig, excluded)]
+        return [_match_list([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
     if not folder.is_dir():
-        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
-        raise UserError(f"images={images}: there is no such folder{hint}")
-    frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_order)
-    of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
-    if of_cameras or not frames:
-        return [FrameFiles("", _named(folder, rig, excluded))]
-    return [FrameFiles(frame.name, _named(frame, rig, excluded)) for frame in frames]
+        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]"
+        raise UserError(f"images={images}: there is no such folder{hint if folder.exists() else ''}")
+    frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_key)
+    # images that belong to no camera do not make the folder a frame: they may be masks of the rig
+    is_frame = any(path.stem in rig.names for path in _image_files(folder))
+    if is_frame or not frames:
+        return [FrameFiles("", _match_folder(folder, rig, excluded))]
+    return [FrameFiles(frame.name, _match_folder(frame, rig, excluded)) for frame in frames]
 
 
 def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
     """Check that the names are cameras of the rig, and not all of them.
 
     Raises:
-        UserError: naming the unknown camera and those of the rig.
+        UserError: naming the unknown camera and those of the rig; or if every camera is excluded.
     """
     for name in excluded:
         if name not in rig.names:
-            hint = closest(name, rig.names)
+            hint = suggest_name(name, rig.names)
             raise UserError(f"exclude_cameras={name}: no such camera{hint}; cameras: {', '.join(rig.names)}")
     if len(set(excluded)) == len(rig.names):
         raise UserError("every camera is excluded; keep at least one")
 
 
-def _natural_order(folder: Path) -> list[tuple[int, str]]:
-    """Return the sorting key that orders names by the numbers in them: 9 before 10."""
+def _natural_key(folder: Path) -> list[tuple[int, str]]:
+    """Return a sorting key that compares the numbers in names as numbers: 9 before 10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", folder.name)]
 
 
-def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
+def _match_list(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
     if len(paths) != len(rig.names):
         names = ", ".join(rig.names)
         raise UserError(f"{len(paths)} images for {len(rig.names)} cameras; give one each, in this order: {names}")
@@ -100,28 +101,28 @@ def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
     )
 
 
-def _named(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:
+def _match_folder(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:
     return tuple(None if name in excluded else _image_of(name, folder, rig) for name in rig.names)
 
 
 def _image_of(name: str, folder: Path, rig: Rig) -> Path:
     images = _image_files(folder)
-    own = [path for path in images if path.stem == name]
-    if len(own) == 1:
-        return own[0]
-    if own:
-        names = ", ".join(path.name for path in own)
+    matches = [path for path in images if path.stem == name]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        names = ", ".join(path.name for path in matches)
         raise UserError(f"{folder}: several images of camera '{name}': {names}; keep one")
     others = [path.stem for path in images if path.stem not in rig.names]
     others_text = f"; images that belong to no camera of the rig: {', '.join(sorted(others)[:8])}" if others else ""
     raise UserError(
         f"{folder}: no image of camera '{name}' (a file {name}.png or {name}.jpg)"
-        f"{closest(name, others)}{others_text}; exclude_cameras=[{name}] leaves it out"
+        f"{suggest_name(name, others)}{others_text}; exclude_cameras=[{name}] leaves it out"
     )
 
 
-def closest(name: str, others: Iterable[str]) -> str:
-    """Return a question for an error message, whether the most similar of the others is meant; empty if none is."""
+def suggest_name(name: str, others: Iterable[str]) -> str:
+    """Return the question " (is it '<other>'?)" with the most similar other name; empty if none is similar."""
     close = get_close_matches(name, list(others), n=1)
     return f" (is it '{close[0]}'?)" if close else ""
 
@@ -131,19 +132,19 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
-    """Yield lines about images listed by other names, images that are not used, and lens models that do not fit."""
+    """Yield lines on files named unlike their cameras, on unused images and on lens models that do not fit."""
     files = dict(zip(rig.names, frames[0].files, strict=True))
     if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
         yield "images    " + ", ".join(f"{name}={file.name}" for name, file in files.items() if file is not None)
-    if line := ignored_images(frames, rig):
+    if line := describe_ignored_images(frames, rig):
         yield line
     yield from lenses_that_do_not_fit(rig)
 
 
-def ignored_images(frames: Sequence[FrameFiles], rig: Rig) -> str:
-    """Return a line about images in the folder of the first frame that belong to no camera of the rig, or nothing."""
+def describe_ignored_images(frames: Sequence[FrameFiles], rig: Rig) -> str:
+    """Return a line on the images in the first frame's folder that belong to no camera; empty if all do."""
     files = {file.stem: file for file in frames[0].files if file is not None}
-    if not set(files) <= set(rig.names):  # listed files, whose names say nothing
+    if not set(files) <= set(rig.names):  # files of a list, which may have any names
         return ""
     folder = next(iter(files.values())).parent
     others = [file.name for file in _image_files(folder) if file.stem not in rig.names]
@@ -158,15 +159,15 @@ def read_frame(frame: FrameFiles, rig: Rig) -> list[np.ndarray]:
     Raises:
         UserError: naming the file that cannot be read or has another aspect ratio than its camera's calibration.
     """
-    return [_read(file, rig, k, frame.depth) for k, file in enumerate(frame.files)]
+    return [_read_image(file, rig, camera, frame.bit_depth) for camera, file in enumerate(frame.files)]
 
 
-def _read(file: Path | None, rig: Rig, k: int, depth: Depth) -> np.ndarray:
-    camera, name = rig.cameras[k], rig.names[k]
+def _read_image(file: Path | None, rig: Rig, index: int, bit_depth: Depth) -> np.ndarray:
+    camera, name = rig.cameras[index], rig.names[index]
     if file is None:
         return np.zeros((camera.height, camera.width, 3), np.uint8)
     try:
-        return rgb_of_camera(content_of(file), str(file), camera, depth, f"camera '{name}'")
+        return rgb_of_camera(content_of(file), str(file), camera, bit_depth, f"camera '{name}'")
     except DataError as error:
         raise UserError(f"{error}; exclude_cameras=[{name}] leaves the camera out") from error
 
@@ -174,12 +175,13 @@ def _read(file: Path | None, rig: Rig, k: int, depth: Depth) -> np.ndarray:
 def resized_to_width(
     images: Sequence[np.ndarray], rig: Rig, width: int | None
 ) -> tuple[Float32[Tensor, "1 N 3 H W"], Rig]:
-    """Return the input of a network: all images at one even size, in [0, 1], and the rig at that size.
+    """Return the input of a network: all images at one size, in [0, 1], and the rig at that size.
 
     Args:
         images: of every camera, of any size.
         rig: the cameras.
-        width: approximate width of the result, px; its aspect ratio is the first camera's. None: that camera's width.
+        width: approximate width of the result, px; None: the first camera's width. `even_size` makes it even and gives
+            the height, by the first camera's aspect ratio.
 
     Raises:
         UserError: when a camera with a single focal length would have to be stretched.
@@ -194,11 +196,14 @@ def resized_to_width(
 
 
 def even_size(camera: Camera, width: int) -> tuple[int, int]:
-    """Return an even width and height near `width`, of exactly the camera's aspect ratio if such a size fits in it."""
+    """Return an even width near `width` and an even height, px.
+
+    They have exactly the camera's aspect ratio, unless the smallest such size is already wider than `width`.
+    """
     divisor = math.gcd(camera.width, camera.height)
-    unit = camera.width // divisor, camera.height // divisor
-    if unit[0] % 2 or unit[1] % 2:
-        unit = 2 * unit[0], 2 * unit[1]
-    if unit[0] <= width:
-        return unit[0] * (width // unit[0]), unit[1] * (width // unit[0])
+    smallest = camera.width // divisor, camera.height // divisor
+    if smallest[0] % 2 or smallest[1] % 2:
+        smallest = 2 * smallest[0], 2 * smallest[1]
+    if smallest[0] <= width:
+        return smallest[0] * (width // smallest[0]), smallest[1] * (width // smallest[0])
     return max(2, width // 2 * 2), max(2, 2 * round(width * camera.height / camera.width / 2))

@@ -23,7 +23,7 @@ from omniocc.data.formats.pose_table import W_FIRST, read_table
 from omniocc.data.formats.poses import TOLERANCE, check_position, quaternion_pose
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, number_of
-from omniocc.predict.input.images import closest
+from omniocc.predict.input.images import suggest_name
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -47,7 +47,7 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
             raise UserError(f"{row.where}, frame '{name}': {error}") from error
     for name in frames:
         if name not in poses:
-            hint = closest(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"
+            hint = suggest_name(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"
             raise UserError(f"{path} has no pose of frame '{name}'{hint if poses else ''}")
     return torch.stack([poses[name] for name in frames])
 

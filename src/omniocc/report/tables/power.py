@@ -16,10 +16,10 @@ from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.runs.table import VOXEL_RAYIOU
 
-WANTED = 0.8
+POWER = 0.8
 """Probability with which a gap of the paper's size is to be found."""
-MOST, OTHERS = 999, 3
-"""Most seeds that are tried, and the seeds of the rows that a claim is not about."""
+MAX_SEEDS, OTHER_SEEDS = 999, 3
+"""Largest number of seeds that is tried, and number of seeds of the rows that a claim is not about."""
 
 
 class SeedStd(NamedTuple):
@@ -27,8 +27,8 @@ class SeedStd(NamedTuple):
 
     Attributes:
         source: where the figures come from.
-        parts: of rows that share the stages of a seed, without the effects of row and seed.
-        systems: of a row that shares nothing.
+        parts: of what the effects of row and seed leave, in rows that share earlier stages of a seed.
+        systems: of a row that shares no stage with others.
     """
 
     source: str
@@ -36,16 +36,16 @@ class SeedStd(NamedTuple):
     systems: float
 
 
-class Wanted(NamedTuple):
-    """A claim whose power is asked for.
+class Comparison(NamedTuple):
+    """A claim whose number of seeds is asked for.
 
     Attributes:
         title: the claim in words.
-        table: number in the paper, or title, of its table.
-        key: of the metric that decides it.
+        table: number of its table in the paper, or title.
+        key: key of the metric that decides it.
         shares_stages: whether its rows share depth and sketch of a seed.
-        paper: the printed gap.
-        size: the same in proportion to the score here; nan if the better row has not run.
+        paper: the printed gap; nan without one.
+        size: the printed gap in proportion to the score here; nan without one, or if the better row has not run.
     """
 
     title: str
@@ -74,8 +74,8 @@ def load_seed_stds(path: Path) -> list[SeedStd]:
     return found
 
 
-def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | None:
-    """Return the standard deviations of the runs themselves; None as long as no part, or no system, has two seeds."""
+def measure_seed_std(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | None:
+    """Return the standard deviations over the runs; None unless parts and a system have two seeds or more."""
     systems = rows_of_claims(tables, rows, False)
     stds = [figure.std for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
     parts = Gaps(rows_of_claims(tables, rows, True), key).std
@@ -84,14 +84,14 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | No
     return SeedStd("the runs here", parts, math.sqrt(sum(std * std for std in stds) / len(stds)))
 
 
-def planned_comparisons(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
-    """Return the claims of all tables in the metric of their tables, each once, whether its rows have run or not."""
-    return [_wanted(*claim, rows) for claim in planned_claims(tables, VOXEL_RAYIOU)]
+def planned_comparisons(tables: Sequence[PaperTable], rows: Rows) -> list[Comparison]:
+    """Return the claims of all tables, in the metric of their tables, each once, even if its rows have not run."""
+    return [_comparison(*claim, rows) for claim in planned_claims(tables, VOXEL_RAYIOU)]
 
 
-def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:
+def _comparison(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Comparison:
     score = figure_of(rows.get(better.run, ()), table.order_by)
-    return Wanted(
+    return Comparison(
         title_of(table, better, other),
         table.short,
         table.order_by,
@@ -102,15 +102,15 @@ def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) ->
 
 
 def power_of(size: float, error: float, freedom: int, claims: int) -> float:
-    """Return the probability that Student's t finds a gap of a size, with its sign.
+    """Return the probability that a two-sided t-test finds a gap of this size, with the right sign.
 
     Args:
         size: true gap.
         error: standard error of its estimate.
         freedom: degrees of freedom of the error.
-        claims: number of claims in the family. Holm's first step is taken, which is the strictest.
+        claims: number of claims in the family. The level is that of Holm's first step, the strictest.
     """
-    bound = stats.t.isf(LEVEL / claims / 2, freedom)
+    bound = stats.t.isf(LEVEL / claims / 2, freedom)  # half the level for each sign
     return float(stats.nct.sf(bound, freedom, size / error))
 
 
@@ -120,21 +120,23 @@ def freedom_of_systems(seeds: int) -> int:
 
 
 def freedom_of_parts(seeds: int, rows: int) -> int:
-    """Return the degrees of freedom of the noise of parts if two rows have these seeds, and the others `OTHERS`."""
-    runs = 2 * seeds + (rows - 2) * OTHERS
-    return runs - (rows + (max(seeds, OTHERS) if rows > 2 else seeds) - 1)
+    """Return the degrees of freedom of the noise of parts: two rows have these seeds, the others `OTHER_SEEDS`."""
+    runs = 2 * seeds + (rows - 2) * OTHER_SEEDS
+    seed_effects = max(seeds, OTHER_SEEDS) if rows > 2 else seeds
+    return runs - (rows + seed_effects - 1)  # the mean is in the effects of rows and in those of seeds
 
 
 def seeds_needed(size: float, std: float, freedom: Callable[[int], int], claims: int) -> int | None:
-    """Return the smallest number of seeds with which a gap is found in `WANTED` of all cases; None above `MOST`."""
+    """Return the smallest number of seeds with which the power is at least `POWER`; None above `MAX_SEEDS`."""
 
     def enough(seeds: int) -> bool:
-        return power_of(size, std * math.sqrt(2 / seeds), freedom(seeds), claims) >= WANTED
+        error = std * math.sqrt(2 / seeds)  # of the difference of two means
+        return power_of(size, error, freedom(seeds), claims) >= POWER
 
-    low, high = 1, MOST
+    low, high = 1, MAX_SEEDS  # fewer than two seeds are never tried
     if not enough(high):
         return None
-    while high - low > 1:  # power grows with the seeds
+    while high - low > 1:  # bisection: power grows with the seeds
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
@@ -143,23 +145,23 @@ def seeds_needed(size: float, std: float, freedom: Callable[[int], int], claims:
 def power_csv(tables: Sequence[PaperTable], rows: Rows, given: Sequence[SeedStd]) -> str:
     """Return CSV with the seeds that each claim needs at every standard deviation; empty if there is none.
 
-    Besides the `given` ones of RayIoU there are those of the runs, of each claim's own metric. A claim without a
-    printed gap needs none; it counts in the family.
+    Standard deviations are the `given` ones, for claims in RayIoU, and those of the runs here in each claim's own
+    metric. A claim without a printed gap has "unknown" seeds, but counts in the family.
     """
     claims, parts = planned_comparisons(tables, rows), _number_of_parts(tables)
     lines = []
     for claim in claims:
-        own = measured(tables, rows, claim.key)
+        own = measure_seed_std(tables, rows, claim.key)
         for std in [*(given if claim.key == RAY_IOU else ()), *([own] if own else [])]:
             cells = [claim.title, claim.table, exact(claim.paper), exact(claim.size), std.source]
-            seeds = _needed(claim, std, parts, len(claims))
-            lines.append([*cells, f"{std.parts:.4f}", f"{std.systems:.4f}", str(seeds or f"> {MOST}")])
+            seeds = _seeds_of_claim(claim, std, parts, len(claims))
+            lines.append([*cells, f"{std.parts:.4f}", f"{std.systems:.4f}", str(seeds or f"> {MAX_SEEDS}")])
     head = ["claim", "table", "paper's gap", "paper's gap rescaled", "source of the standard deviations"]
     head += ["standard deviation between seeds, methods that share networks", "standard deviation, other methods"]
-    return csv_text([*head, f"seeds that both methods need to find the gap in {WANTED:.0%} of cases"], lines)
+    return csv_text([*head, f"seeds that both methods need to find the gap in {POWER:.0%} of cases"], lines)
 
 
-def _needed(claim: Wanted, std: SeedStd, parts: int, claims: int) -> int | str | None:
+def _seeds_of_claim(claim: Comparison, std: SeedStd, parts: int, claims: int) -> int | str | None:
     if math.isnan(claim.size):
         return "unknown"
     if claim.shares_stages:

@@ -24,7 +24,7 @@ from omniocc.runs.curves import curve_files, read_rows
 from omniocc.runs.robustness import RAY_IOU, Robustness, drop_of
 from omniocc.runs.slots import slots_of
 from omniocc.runs.table import band_names, class_names
-from omniocc.runs.wandb.media import Named, wandb_object
+from omniocc.runs.wandb.media import MediaItem, wandb_object
 
 
 class ResultTable(NamedTuple):
@@ -188,7 +188,7 @@ class WandbCurves(WandbLogger):
             self.experiment.summary.update(dict(metrics))
 
     @rank_zero_only
-    def log_media(self, media: Mapping[str, Sequence[Named]], step: int) -> None:
+    def log_media(self, media: Mapping[str, Sequence[MediaItem]], step: int) -> None:
         """Log images and points under their keys, all of one step in one row.
 
         They are left out if the scalars of the same phase and step, which follow them, were logged before.
@@ -304,7 +304,7 @@ def log_robustness(loggers: Sequence[Logger], record: Robustness, plot: np.ndarr
     """
     for logger in wandb_of(loggers):
         if plot is not None:
-            logger.log_media({"robustness/plot": [Named(plot, record.system)]}, 0)
+            logger.log_media({"robustness/plot": [MediaItem(plot, record.system)]}, 0)
     for logger in loggers:
         logger.log_metrics(robustness_metrics(record), 0)
         logger.finalize("success")

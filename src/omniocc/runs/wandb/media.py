@@ -16,9 +16,10 @@ from omniocc.geometry import Grid
 
 CAMERA_PX, BEV_PX, PANORAMA_PX = 400, 400, 960
 CAR_CENTER_M, CAR_SIZE_M = (0.0, 0.0, -1.45), (4.6, 1.9, 1.5)
+"""Box of the ego car, ego frame; it stands on the virtual world's road at z = -2.2 m."""
 
 
-class Named(NamedTuple):
+class MediaItem(NamedTuple):
     """An image (H, W, 3) uint8 RGB, or points (P, 6) of x, y, z in metres and RGB, and its caption."""
 
     content: np.ndarray
@@ -26,7 +27,7 @@ class Named(NamedTuple):
 
 
 def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> Float[np.ndarray, "P 6"]:
-    """Return the centres of all occupied cells, ego frame, rounded to the centimetre, and their class colours."""
+    """Return the centre (ego frame, m, rounded to the centimetre) and class colour (RGB) of every occupied cell."""
     occupied = (labels != FREE) & (labels != UNKNOWN)
     centers_m = geometry.centers()[occupied].double().numpy().round(2)
     return np.concatenate([centers_m, classes.palette[labels[occupied].numpy()].astype(np.float64)], axis=1)
@@ -39,26 +40,30 @@ def voxel_media(
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
     classes: ClassTable,
-) -> dict[str, list[Named]]:
-    """Return the cameras with predicted classes, voxels, and maps of truth, prediction and differences by key."""
+) -> dict[str, list[MediaItem]]:
+    """Return the media of an occupancy prediction, by key.
+
+    They are the images with the predicted classes painted on, bird's-eye views of truth, prediction and their
+    differences, and points of the occupied cells of both.
+    """
     painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
-    maps = {
+    views = {
         "truth": bev(truth, geometry, classes, BEV_PX),
         "prediction": bev(prediction, geometry, classes, BEV_PX),
         "differences": error_bev(truth, prediction, geometry, BEV_PX),
     }
     return {
-        "cameras": [Named(image, name) for image, name in zip(painted, rig.names, strict=True)],
-        "bev": [Named(image, name) for name, image in maps.items()],
-        "points_truth": [Named(class_cloud(truth, geometry, classes), "truth")],
-        "points_prediction": [Named(class_cloud(prediction, geometry, classes), "prediction")],
+        "cameras": [MediaItem(image, name) for image, name in zip(painted, rig.names, strict=True)],
+        "bev": [MediaItem(image, name) for name, image in views.items()],
+        "points_truth": [MediaItem(class_cloud(truth, geometry, classes), "truth")],
+        "points_prediction": [MediaItem(class_cloud(prediction, geometry, classes), "prediction")],
     }
 
 
 def range_media(
     predicted_m: Float[Tensor, "h w"], true_m: Float[Tensor, "h w"], panorama: Equirectangular
-) -> dict[str, list[Named]]:
-    """Return range panoramas, true and predicted (nan: no answer), and their difference."""
+) -> dict[str, list[MediaItem]]:
+    """Return panoramas of true ranges, of predicted ranges (nan: not valid) and of their difference, as `erp`."""
     assert true_m.shape == (panorama.height, panorama.width)
     predicted, true = predicted_m.numpy(), true_m.numpy()
     rows = {
@@ -66,10 +71,10 @@ def range_media(
         "predicted range": range_colors(predicted),
         "predicted minus true": error_colors(predicted, true),
     }
-    return {"erp": [Named(panorama_row(colors, name, PANORAMA_PX), name) for name, colors in rows.items()]}
+    return {"erp": [MediaItem(panorama_row(colors, name, PANORAMA_PX), name) for name, colors in rows.items()]}
 
 
-def wandb_object(item: Named) -> Any:
+def wandb_object(item: MediaItem) -> Any:
     """Return the W&B object of an item; points get a box for the ego car."""
     import wandb
 
