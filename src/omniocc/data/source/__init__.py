@@ -1,4 +1,4 @@
-"""Protocols of sources of scenes and of their labels; every source is a module of this package or of an extra."""
+"""Protocols of sources of scenes and of their labels, and the facts that every source states."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ dataset has a mask of these."""
 def refuse_unseen(ignore: Ignore, remedy: str = "choose none or unobserved") -> None:
     """Raise UserError if `ignore` is `unseen`; for datasets without a mask of the cells that cameras see."""
     if ignore == "unseen":
-        raise UserError(f"data.ignore=unseen: there is no mask of the cells that cameras see; {remedy}")
+        raise UserError(f"data.ignore=unseen: there is no mask of what cameras see; {remedy}")
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ class MadeScenes(SceneSource, Protocol):
         ...
 
     def made_before(self, fingerprint: str) -> Sequence[SceneFrames]:
-        """Return the scenes of all splits with this fingerprint, even if other code made them; none if they are gone."""
+        """Return the scenes of all splits with this fingerprint, even if made by other code; none if they are gone."""
         ...
 
     def made(self, split: Split, names: Sequence[str]) -> list[SceneFrames]:

@@ -178,7 +178,7 @@ class Occ3DNuScenes:
         return {"train": [name for name in training if name not in val], "val": val, "test": test}
 
     def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
-        """Return the labels of Occ3D in a grid; `ignore` takes the dataset's masks of LiDAR and cameras."""
+        """Return the labels of Occ3D in a grid; `unobserved` and `unseen` use its masks of LiDAR and cameras."""
         return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, CLASSES.num_classes, ignore)
 
     def _read_tables(self) -> dict[str, KeyFrames]:

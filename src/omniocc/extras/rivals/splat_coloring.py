@@ -21,8 +21,8 @@ class SplatColoring(nn.Module):
     """Splat features along the cameras' own rays, then let blocks of the volume attend to the images.
 
     In the style of FoSOcc (OccTrack360, arXiv 2603.08521): `LiftSplat` fills the volume, whose blocks are the queries
-    of `Coloring`; the features that they find are added to their voxels. Both use the exact lens model of every camera, at any
-    angle. All voxels are filled; candidates are ignored.
+    of `Coloring`; the features that they find are added to their voxels. Both use the exact lens model of every
+    camera, at any angle. All voxels are filled; candidates are ignored.
 
     Args:
         in_channels: channels of image features and queries.
