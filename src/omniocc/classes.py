@@ -1,4 +1,4 @@
-"""Class tables, and the classes of the virtual world (names and colours of the paper; CARLA palette)."""
+"""Class tables, and the classes of the virtual world, with the names and colours of the paper (CARLA's palette)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class SemanticClass(NamedTuple):
 
 @dataclass(frozen=True)
 class ClassTable:
-    """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space, 255 (unknown) is no class.
+    """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space. The id 255, unknown, is not in the table.
 
     Raises:
         ValueError: naming the row that is wrong.
@@ -33,16 +33,16 @@ class ClassTable:
         """Check the rows."""
         if not 2 <= len(self.rows) <= UNKNOWN:
             raise ValueError(f"a class table has {len(self.rows)} rows; it must have 2 to {UNKNOWN}")
-        for place, row in enumerate(self.rows):
-            if row.id != place:
+        for index, row in enumerate(self.rows):
+            if row.id != index:
                 raise ValueError(
-                    f"class '{row.name}' has id {row.id} in row {place}; ids must be 0, 1, 2, ... in order"
+                    f"class '{row.name}' has id {row.id} in row {index}; ids must be 0, 1, 2, ... in order"
                 )
             if not isinstance(row.name, str) or not row.name or not row.name.isprintable():
                 raise ValueError(f"class {row.id} has the name {row.name!r}; names must be printable text")
             if self.names.count(row.name) > 1:
                 raise ValueError(f"class {row.id} has the name '{row.name}'; names must be unique")
-            if len(row.rgb) != 3 or not all(isinstance(part, int) and 0 <= part <= 255 for part in row.rgb):
+            if len(row.rgb) != 3 or not all(isinstance(value, int) and 0 <= value <= 255 for value in row.rgb):
                 raise ValueError(f"class '{row.name}' has rgb {row.rgb}; it must be three whole numbers 0..255")
 
     @property
@@ -62,7 +62,7 @@ class ClassTable:
 
     @cached_property
     def palette(self) -> UInt8[np.ndarray, "256 3"]:
-        """Return RGB by id; black for 255 (unknown) and for ids beyond the table."""
+        """Return the colours (RGB) by id; ids beyond the table and 255 (unknown) are black."""
         palette = np.zeros((256, 3), dtype=np.uint8)
         palette[: self.num_classes] = [row.rgb for row in self.rows]
         return palette
@@ -73,7 +73,7 @@ class ClassTable:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Mapping[str, Any]]) -> "ClassTable":
-        """Return the table that `to_dict` wrote.
+        """Return the table from the data that `to_dict` returned.
 
         Raises:
             ValueError: naming the id or the row that is wrong.
@@ -101,7 +101,7 @@ CLASSES: tuple[SemanticClass, ...] = (
 )
 """The classes of the virtual world."""
 WORLD_CLASSES = ClassTable(CLASSES)
-"""The same as a table."""
+"""The table of `CLASSES`."""
 OCCUPANCY_CLASSES = ClassTable(
     (SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130)))
 )

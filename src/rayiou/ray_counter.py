@@ -1,4 +1,4 @@
-"""Casting of rays through predicted and true frames, and counting of their hits; nothing is kept between calls."""
+"""Cast rays through predicted and true frames, and count the correct hits; nothing is kept between calls."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -61,7 +61,7 @@ def tensors_of(
     """Return the arguments of `RayCounter.count` as tensors; numpy arrays are copied to the device.
 
     Raises:
-        ValueError: with the name, for what is no array of numbers.
+        ValueError: naming the argument that is no array of numbers.
     """
     preds, origins, observed = as_tensors(device, preds=preds, origins=origins, observed=observed)
     (times,) = as_tensors(device, origin_times=origin_times)
@@ -71,7 +71,7 @@ def tensors_of(
 
 
 def scan_of(directions: Float[Array, "D 3"] | None) -> RayScan:
-    """Return these rays, ready to be cast from any origin; those of the public RayIoU for None."""
+    """Return rays in these directions, ready to be cast from any origin; None: the directions of the public RayIoU."""
     if directions is None:
         return RayScan(sparseocc_directions())
     (given,) = as_tensors("cpu", directions=directions)
@@ -79,7 +79,7 @@ def scan_of(directions: Float[Array, "D 3"] | None) -> RayScan:
 
 
 class RayCounter:
-    """The counting of RayIoU as a function of frames: it has no state and does not communicate with other processes.
+    """Counts the rays of RayIoU in given frames: it keeps no counts and does not communicate with other processes.
 
     Arguments and errors are those of `rayiou.RayIoU`, which sums the counts.
     """
@@ -103,21 +103,21 @@ class RayCounter:
         check_grid("grid", self.grid)
         check_grid("target_grid", self.target_grid)
         self.classes = classes
-        self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
-        self.fine_m = tuple(float(edge) for edge in fine_thresholds_m)
+        self.thresholds_m = tuple(float(threshold) for threshold in thresholds_m)
+        self.fine_thresholds_m = tuple(float(threshold) for threshold in fine_thresholds_m)
         check_increasing("thresholds_m", self.thresholds_m, at_least=1)
-        check_increasing("fine_thresholds_m", self.fine_m, at_least=0)
-        self.counted_m = tuple(sorted({*self.thresholds_m, *self.fine_m}))
+        check_increasing("fine_thresholds_m", self.fine_thresholds_m, at_least=0)
+        self.all_thresholds_m = tuple(sorted({*self.thresholds_m, *self.fine_thresholds_m}))
         self.range_edges_m = as_edges(range_edges_m)
         self.hit, self.count_free_rays, self.split_origins = hit, count_free_rays, split_origins
         self.public_rays = directions is None
         self.scan = scan_of(directions)
 
-    def zero(self) -> RayCounts:
+    def zero_counts(self) -> RayCounts:
         """Return the counts of no frames."""
         rows = num_rows(self.range_edges_m) * (len(TIMES) if self.split_origins else 1)
         zeros = torch.zeros(rows, self.classes.num_classes, dtype=torch.int64)
-        return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.counted_m), 1))
+        return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.all_thresholds_m), 1))
 
     def count(
         self,
@@ -137,35 +137,37 @@ class RayCounter:
             raise ValueError(f"origins must have shape ({len(preds)}, O, 3), got {tuple(origins.shape)}")
         if origins is not None:
             check_origins("origins", origins)
-        times = self._times(origins, origin_times, len(preds))
+        times = self._index_times(origins, origin_times, len(preds))
         origins = torch.zeros(1, 3).expand(len(preds), 1, 3) if origins is None else origins
         origins = origins.to(preds.device)
         if not origins.shape[1]:
-            found = []
+            counts = []
         elif isinstance(target, RayTruth):
             if observed is not None:
-                raise ValueError("observed is for true voxels; give measured rays that do not count the ignored class")
-            found = self._count_truth(preds, target, origins, times)
+                raise ValueError(
+                    "observed is for true voxels; give the ignored class to measured rays that do not count"
+                )
+            counts = self._count_measured(preds, target, origins, times)
         else:
-            target = self._known(preds, target, observed)
+            target = self._ignore_unobserved(preds, target, observed)
             samples = zip(preds, target, origins, times, strict=True)
-            found = [self._count_voxels(*sample) for sample in samples]
-        zero = (part.to(preds.device) for part in self.zero())
-        return RayCounts(*(torch.stack(parts).sum(0) for parts in zip(zero, *found, strict=True)))
+            counts = [self._count_voxels(*sample) for sample in samples]
+        zero = (part.to(preds.device) for part in self.zero_counts())
+        return RayCounts(*(torch.stack(parts).sum(0) for parts in zip(zero, *counts, strict=True)))
 
     def scores(self, counts: RayCounts) -> dict[str, Tensor]:
         """Return the scores of counts: see `rayiou.ray_counts.ray_scores` for the keys.
 
-        Those of the fine thresholds, if there are any, are `fine/rayiou` and `fine/rayiou@<threshold>`.
+        The scores at the fine thresholds, if there are any, are `fine/rayiou` and `fine/rayiou@<threshold>`.
         """
         scores = self._scores_at(counts, self.thresholds_m)
-        fine = self._scores_at(counts, self.fine_m) if self.fine_m else {}
-        kept = ("rayiou", *(f"rayiou@{threshold_m:g}" for threshold_m in self.fine_m))
-        return scores | {f"fine/{key}": fine[key] for key in kept if fine}
+        fine = self._scores_at(counts, self.fine_thresholds_m) if self.fine_thresholds_m else {}
+        keys = ("rayiou", *(f"rayiou@{threshold_m:g}" for threshold_m in self.fine_thresholds_m))
+        return scores | {f"fine/{key}": fine[key] for key in keys if fine}
 
     def counts_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> RayCounts:
-        """Return the counts at some of the thresholds alone, in their order."""
-        places = [self.counted_m.index(threshold_m) for threshold_m in thresholds_m]
+        """Return the counts at these thresholds alone, in their order."""
+        places = [self.all_thresholds_m.index(threshold_m) for threshold_m in thresholds_m]
         return counts._replace(correct=counts.correct[:, places])
 
     def _scores_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> dict[str, Tensor]:
@@ -173,11 +175,11 @@ class RayCounter:
         return ray_scores(counts, self.classes.occupied, thresholds_m, self.range_edges_m)
 
     def protocol(self, seen: RaysSeen) -> str:
-        """Return how rays of what was `seen` are counted, in one line."""
+        """Return one line on how the rays of all inputs so far (`seen`) are counted."""
         return "; ".join(
             (
                 rays_text(len(self.scan), self.public_rays, seen),
-                error_text(self.thresholds_m, self.fine_m, self.hit, seen),
+                error_text(self.thresholds_m, self.fine_thresholds_m, self.hit, seen),
                 dropped_text(self.classes, self.count_free_rays, seen.masked),
                 mean_text(self.classes),
                 *free_text(seen),
@@ -185,16 +187,24 @@ class RayCounter:
         )
 
     def setting(self) -> UInt8[Tensor, "16"]:
-        """Return a hash of all that decides what is counted: metrics with equal ones may share their counts."""
+        """Return a hash of all that decides what is counted: counts of metrics with equal hashes can be added."""
         grids, classes = (self.grid, self.target_grid), (self.classes.num_classes, self.classes.free)
-        parts = grids, classes, self.classes.ignored, self.thresholds_m, self.fine_m, self.range_edges_m, self.hit
+        parts = (
+            grids,
+            classes,
+            self.classes.ignored,
+            self.thresholds_m,
+            self.fine_thresholds_m,
+            self.range_edges_m,
+            self.hit,
+        )
         text = repr((*parts, self.count_free_rays, self.split_origins)).encode()
         return hash_of(text + self.scan.directions.cpu().numpy().tobytes())
 
-    def _times(
+    def _index_times(
         self, origins: Tensor | None, origin_times: Tensor | None, batch: int
     ) -> Sequence[Int64[Tensor, " O"] | None]:
-        """Return for each sample the index in `TIMES` of each origin; None where origins are not scored apart."""
+        """Return for each sample the index in `TIMES` of each origin; all None without `split_origins`."""
         if origin_times is not None and (origins is None or origin_times.shape != origins.shape[:2]):
             shape = "None without origins" if origins is None else tuple(origins.shape[:2])
             raise ValueError(f"origin_times must be {shape}, a time for each origin, got {tuple(origin_times.shape)}")
@@ -203,31 +213,33 @@ class RayCounter:
         if origins is not None and origin_times is None:
             raise ValueError("split_origins needs origin_times: when the car was at each of the origins")
         now = torch.ones(batch, 1, dtype=torch.int64)
+        # signs -1, 0 and 1 become the indices of past, now and future
         return list(now if origin_times is None else origin_times.sign().long() + 1)
 
-    def _known(self, preds: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
+    def _ignore_unobserved(self, preds: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
+        """Return the checked true labels; cells that are not `observed` get the ignored class."""
         target = self.classes.check("target", target, self.target_grid.shape, truth=True)
         check_same_batch("preds", preds, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
 
-    def _count_truth(
+    def _count_measured(
         self, preds: Tensor, target: RayTruth, origins: Tensor, times: Sequence[Tensor | None]
     ) -> list[RayCounts]:
-        target = self._checked_rays(preds, target, origins)
+        target = self._check_rays(preds, target, origins)
         if target.directions is None:
             samples = zip(preds, target.range_m, target.labels, origins, times, strict=True)
-            return [self._count_rays(*sample) for sample in samples]
+            return [self._count_shared_rays(*sample) for sample in samples]
         if self.count_free_rays:
             raise ValueError("count_free_rays needs rays that are the same in all frames")
         starts = torch.zeros_like(target.directions) if target.starts is None else target.starts
         rows = zip(preds, target.range_m, target.labels, target.directions, starts, strict=True)
-        return [self._count_frame_rays(*row) for row in rows]
+        return [self._count_own_rays(*row) for row in rows]
 
-    def _count_frame_rays(
+    def _count_own_rays(
         self, preds: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
     ) -> RayCounts:
-        """Return the counts of one frame whose R rays have individual directions and starts (R, 3)."""
+        """Return the counts of one frame that has its own R rays: `directions` and `starts` (R, 3)."""
         kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
         range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
         # uint8 wraps around, as in `_cast`
@@ -238,10 +250,11 @@ class RayCounter:
         now = torch.tensor([TIMES.index("now")]) if self.split_origins else None
         return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside, now)
 
-    def _checked_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> RayTruth:
-        """Return the measurements; rays that did not come back get the ignored class, whatever their label was."""
+    def _check_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> RayTruth:
+        """Return the checked measurements; rays that did not come back get the ignored class, whatever their label."""
         rays = len(self.scan) * origins.shape[1] if target.directions is None else target.directions.shape[1]
-        lost, labels = ~(target.range_m > 0), target.labels
+        lost, labels = ~(target.range_m > 0), target.labels  # nan is lost too, and nan <= 0 is false
+        # lost rays may have any label: the check sees free instead
         measured = labels.masked_fill(lost, self.classes.free) if lost.shape == labels.shape else labels
         known = self.classes.check("labels", measured, (rays,), truth=True)
         check_same_batch("preds", preds, "labels", labels)
@@ -272,13 +285,13 @@ class RayCounter:
         free = truth.labels == self.classes.free
         valid = ~free
         if self.target_grid != self.grid:
-            valid &= self._inside(origins, (truth.entry_m.double() + truth.exit_m) / 2)
+            valid &= self._is_inside(origins, (truth.entry_m.double() + truth.exit_m) / 2)
         true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
         if self.count_free_rays:
-            valid |= free & self._clear(found, truth.exit_m)
+            valid |= free & self._can_judge(found, truth.exit_m)
         return self._count(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid, times)
 
-    def _count_rays(
+    def _count_shared_rays(
         self,
         preds: Tensor,
         range_m: Tensor,
@@ -290,12 +303,12 @@ class RayCounter:
         found = self._cast(table, preds)[0]
         range_m, labels = range_m.double(), labels.to(torch.uint8)
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
-        valid = (labels != self.classes.free) & self._inside(origins, range_m)
+        valid = (labels != self.classes.free) & self._is_inside(origins, range_m)
         if self.count_free_rays:
-            leave_m = table.reach_m
-            free = ((labels == self.classes.free) | (range_m >= leave_m)) & (labels != self.classes.ignored)
-            clear_m = torch.minimum(range_m, leave_m.double())
-            valid |= free & self._clear(found, clear_m)
+            reach_m = table.reach_m
+            free = ((labels == self.classes.free) | (range_m >= reach_m)) & (labels != self.classes.ignored)
+            clear_m = torch.minimum(range_m, reach_m.double())
+            valid |= free & self._can_judge(found, clear_m)
             labels, range_m = labels.masked_fill(free, self.classes.free), torch.where(free, clear_m, range_m)
         return self._count(labels, range_m, found.labels, error_m, valid, times)
 
@@ -304,13 +317,17 @@ class RayCounter:
         hits = table.cast_all([labels - self.classes.free for labels in volumes])
         return [found._replace(labels=found.labels + self.classes.free) for found in hits]
 
-    def _inside(self, origins: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
+    def _is_inside(self, origins: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
         """Return whether the points at these distances are in the prediction's grid."""
         starts, directions = self.scan.rays(origins)
         return self.grid.index(starts + directions * range_m.unsqueeze(-1))[1]
 
-    def _clear(self, found: Hits, clear_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
-        """Return whether rays with free truth up to these distances count: no truth is available beyond."""
+    def _can_judge(self, found: Hits, clear_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
+        """Return which rays whose truth is free up to `clear_m` count.
+
+        These are the rays that are predicted free, or to hit something nearer. A predicted hit beyond `clear_m` is
+        neither right nor wrong: the truth there is not known.
+        """
         return clear_m.isfinite() & ((found.labels == self.classes.free) | (found.entry_m < clear_m))
 
     def _count(
@@ -322,7 +339,10 @@ class RayCounter:
         valid: Tensor,
         times: Int64[Tensor, " O"] | None,
     ) -> RayCounts:
-        """Return the counts of all rays from the first origin, then from the next; `times` has the kind of each."""
+        """Return the counts of the rays, in the order: all from the first origin, then from the next.
+
+        `times` has for each origin its index in `TIMES`.
+        """
         valid = valid & (true_labels != self.classes.ignored)
         if times is not None:
             times = times.to(labels.device).repeat_interleave(len(labels) // max(1, len(times)))
@@ -334,7 +354,7 @@ class RayCounter:
             error_m,
             valid,
             num_classes,
-            thresholds_m=self.counted_m,
+            thresholds_m=self.all_thresholds_m,
             range_edges_m=edges_m,
             times=times,
         )

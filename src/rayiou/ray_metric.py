@@ -114,7 +114,7 @@ class RayIoU(CountMetric):
             fine_thresholds_m=fine_thresholds_m,
         )
         self.add_setting(self.counter.setting())
-        for name, counts in self.counter.zero()._asdict().items():
+        for name, counts in self.counter.zero_counts()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
         self.add_state("inputs", torch.tensor(astuple(RaysSeen()), dtype=torch.int64), dist_reduce_fx="max")
         self.add_state("measured", torch.zeros(3, dtype=torch.int64), dist_reduce_fx="sum")

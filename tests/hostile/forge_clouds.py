@@ -150,8 +150,8 @@ SPECIFIC: dict[str, tuple[str, str, Callable[[Path, Box], Any]]] = {
     "pcd-whole-huge": (PCD, "refused", lambda path, box: _sizes(path, whole=2**32 - 1)),
     "pcd-packed-huge": (PCD, "refused", lambda path, box: _sizes(path, packed=2**32 - 1)),
     "pcd-packed-nothing": (PCD, "refused", lambda path, box: _sizes(path, packed=0)),
-    "pcd-reference-before-begin": (PCD, "refused", lambda path, box: _lzf(path, b"\x20\xff" * 2000)),
-    "pcd-reference-cut": (PCD, "refused", lambda path, box: _lzf(path, b"\x00\x01\xe0")),
+    "pcd-reference-before-begin": (PCD, "refused", lambda path, box: _undo_lzf(path, b"\x20\xff" * 2000)),
+    "pcd-reference-cut": (PCD, "refused", lambda path, box: _undo_lzf(path, b"\x00\x01\xe0")),
     "ply-ascii": (PLY, "right", _as(PLY, "ascii")),
     "ply-binary": (PLY, "right", _as(PLY, "binary_little_endian")),
     "ply-big-endian": (PLY, "refused", _text((b"binary_little_endian", b"binary_big_endian"))),
@@ -226,7 +226,7 @@ def _sizes(path: Path, packed: int | None = None, whole: int | None = None) -> N
     path.write_bytes(bytes(content))
 
 
-def _lzf(path: Path, packed: bytes) -> None:
+def _undo_lzf(path: Path, packed: bytes) -> None:
     """Replace the compressed points."""
     content = path.read_bytes()
     begin = content.index(b"DATA binary_compressed\n") + len(b"DATA binary_compressed\n")

@@ -13,15 +13,17 @@ from omniocc.progress import STATUS_FILE, Status, read_status
 from omniocc.runs.fork_server import end_with_parent
 
 TAIL_BYTES = 4096
+"""Size of the end of a log in which its last lines are looked for."""
 FAILURE_LINES = 12
+"""Number of lines of its log that are shown of a failed job."""
 
 
 class Process(Protocol):
-    """A process that has been asked for, such as `subprocess.Popen`."""
+    """A process that was requested and may not have begun yet, such as `subprocess.Popen`."""
 
     @property
     def pid(self) -> int | None:
-        """Return its id, which is that of its group; None before it begins."""
+        """Return its id, which is also the id of its process group; None before it begins."""
         ...
 
     def poll(self) -> int | None:
@@ -30,11 +32,11 @@ class Process(Protocol):
 
 
 Starter = Callable[[Sequence[str], Mapping[str, str], Path], Process]
-"""Starts a command with an environment and a file for its output."""
+"""A function that starts a command with all environment variables and a file for its output."""
 
 
 def start_command(command: Sequence[str], environment: Mapping[str, str], log: Path) -> Process:
-    """Start a command in a process group of its own, which ends with this process."""
+    """Start a command in its own process group; the command is sent SIGTERM when this process ends."""
     with log.open("wb") as output:
         return subprocess.Popen(
             command,
@@ -48,10 +50,10 @@ def start_command(command: Sequence[str], environment: Mapping[str, str], log: P
 
 
 class Job:
-    """A process that is started later, in its own process group.
+    """A command that `start` runs as a process in its own process group.
 
     Args:
-        label: its name in messages.
+        label: name of the job in messages.
         command: program and arguments.
         log: file of its output, replaced if it exists. The status file is beside it.
     """
@@ -64,11 +66,11 @@ class Job:
         self.process: Process | None = None
         self.started_s = self.elapsed_s = 0.0
 
-    def start(self, environment: Mapping[str, str], start: Starter = start_command) -> None:
-        """Start the process with additional environment variables."""
+    def start(self, environment: Mapping[str, str], starter: Starter = start_command) -> None:
+        """Start the process with these environment variables in addition to the variables of this process."""
         self.status_file.unlink(missing_ok=True)
-        everything = {**os.environ, **environment, STATUS_FILE: str(self.status_file)}
-        self.process = start(self.command, everything, self.log)
+        variables = {**os.environ, **environment, STATUS_FILE: str(self.status_file)}
+        self.process = starter(self.command, variables, self.log)
         self.started_s = time.monotonic()
 
     @property
@@ -83,12 +85,12 @@ class Job:
 
     @property
     def age_s(self) -> float:
-        """Return the seconds since its start."""
+        """Return the time since its start, s, even after its end."""
         return time.monotonic() - self.started_s
 
     @property
     def running(self) -> bool:
-        """Return whether it has started and not ended."""
+        """Return whether it was started and has not ended."""
         return self.process is not None and self.code is None
 
     @property
@@ -108,10 +110,10 @@ class Job:
 
     @property
     def group(self) -> int | None:
-        """Return the process group of a running job; None before it begins and after its end."""
+        """Return the id of its process group; None before it begins and after its end."""
         return self.process.pid if self.process is not None and self.running else None
 
-    def interrupt(self, number: int) -> None:
+    def send_signal(self, number: int) -> None:
         """Send a signal to its process group."""
         group = self.group
         if group is not None:
@@ -120,7 +122,7 @@ class Job:
 
 
 def last_lines(log: Path, count: int = FAILURE_LINES) -> list[str]:
-    """Return the last lines of a file that are not empty; none if there is no such file."""
+    """Return the last lines of a log that are not empty, from its last 4 KiB; none if there is no such file."""
     if not log.exists():
         return []
     with log.open("rb") as file:

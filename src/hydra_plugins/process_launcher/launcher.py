@@ -150,7 +150,7 @@ def stop(jobs: Sequence[Job]) -> None:
     """End the running jobs: with SIGINT as Ctrl-C does, then with SIGTERM, then with SIGKILL."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         for job in jobs:
-            job.interrupt(number)
+            job.send_signal(number)
         deadline_s = time.monotonic() + GRACE_S
         while any(job.group for job in jobs) and time.monotonic() < deadline_s:
             time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""Look rays up in the faces of a cube: how simulators that only render flat images give fisheye images."""
+"""Look up rays in the faces of a cube, so that renderers of pinhole images can give fisheye images."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
 MARGIN_PX = 1
-"""Pixels beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with."""
+"""Pixels beyond 90 degrees on each side, so that rays at a face's edge lie between four pixels."""
 FACES = np.array(
     [
         [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -24,13 +24,13 @@ down, up, back."""
 
 @dataclass(frozen=True)
 class CubeLookup:
-    """The places of P rays in the six faces of a cube, whose pixels are numbered face by face, row by row.
+    """The positions of P rays in the six faces of a cube, whose pixels are numbered face by face, row by row.
 
     Attributes:
-        side: width and height of a face, px.
-        inner: how many of them span 90 degrees.
+        side: width and height of a face, px, with margins.
+        inner: width and height of the part that spans 90 degrees, px.
         corner: the four pixels around each ray.
-        weight: bilinear weights.
+        weight: bilinear weight of each of the four.
         nearest: the closest pixel.
         forward: component of each unit ray along the axis of its face.
     """
@@ -44,26 +44,26 @@ class CubeLookup:
 
     @property
     def needed(self) -> Bool[np.ndarray, "6 side side"]:
-        """Return the pixels that any ray needs."""
+        """Return which pixels are needed by any ray."""
         found = np.zeros((len(FACES), self.side, self.side), dtype=bool)
         found.reshape(-1)[self.corner] = True
         return found
 
     @property
     def faces(self) -> list[int]:
-        """Return the faces that any ray needs."""
+        """Return the numbers of the faces that are needed by any ray."""
         return np.flatnonzero(self.needed.any(axis=(1, 2))).tolist()
 
     @property
     def field_deg(self) -> float:
-        """Return the field of view of a whole face."""
+        """Return the field of view of a face with its margins."""
         return float(np.degrees(2 * np.arctan(self.side / self.inner)))
 
 
 def look_up_rays(rays: Float[np.ndarray, "3 P"], pixel_rad: float) -> CubeLookup:
-    """Return the places of unit rays, given in the frame of the cube.
+    """Return the positions of unit rays, given in the frame of the cube.
 
-    Faces are as fine in their middle as pixels that are `pixel_rad` apart, finer elsewhere.
+    The pixels in the middle of a face are at most `pixel_rad` apart, the others less.
     """
     inner = int(np.ceil(2 / pixel_rad))
     side = inner + 2 * MARGIN_PX
@@ -80,13 +80,14 @@ def look_up_rays(rays: Float[np.ndarray, "3 P"], pixel_rad: float) -> CubeLookup
 
 
 def blend_ranges(
-    lookup: CubeLookup, inverse: Float[np.ndarray, " Q"], even: Bool[np.ndarray, " P"]
+    lookup: CubeLookup, inverse_depth: Float[np.ndarray, " Q"], one_surface: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, " P"]:
-    """Return ranges along the rays, m, from inverse distances along the axes of the faces, 1/m; 0 gives infinity.
+    """Return ranges along the rays, m, from the inverse depths of all pixels, 1/m; an inverse depth of 0 gives inf.
 
-    Inverse distances are blended where the four pixels see one surface (`even`), which is exact on a plane; elsewhere
-    the nearest pixel decides. `lookup` has numbers of the pixels in `inverse`.
+    Depth is the distance along the axis of a face. Inverse depths are blended where the four pixels see `one_surface`,
+    which is exact on a plane; elsewhere the nearest pixel decides. `inverse_depth` is indexed by the pixel numbers of
+    `lookup`.
     """
-    blended = (inverse[lookup.corner] * lookup.weight).sum(axis=0)
+    blended = (inverse_depth[lookup.corner] * lookup.weight).sum(axis=0)
     with np.errstate(divide="ignore"):
-        return 1 / (np.where(even, blended, inverse[lookup.nearest]) * lookup.forward)
+        return 1 / (np.where(one_surface, blended, inverse_depth[lookup.nearest]) * lookup.forward)

@@ -15,7 +15,7 @@ from omniocc.data import SceneSource, WindowDataset, collate
 from omniocc.data.formats.nuscenes import CAMERAS, VALIDATION, KeyFrames, read_key_frames, records
 from omniocc.data.formats.poses import quaternion_pose, rigid
 from omniocc.data.source import SceneFrames, VoxelLabels
-from omniocc.data.source.occ3d_nuscenes import GRID, ORIGIN_M, Occ3DNuScenes, Occ3DScene, from_file, to_file
+from omniocc.data.source.occ3d_nuscenes import GRID, ORIGIN_M, Occ3DNuScenes, Occ3DScene, decode_classes, encode_classes
 from omniocc.errors import DataError
 from omniocc.geometry import Cylinder
 from omniocc.metric import RayIoU
@@ -117,8 +117,8 @@ def test_masks_make_cells_unknown_or_not_scored(root):
     scene = source.scenes("train")[0]
     free, unobserved, unseen = (scene.own_voxels(0, ignore) for ignore in ("none", "unobserved", "unseen"))
     raw, observed = voxels()
-    assert torch.equal(free, torch.from_numpy(from_file(raw)))
-    assert np.array_equal(to_file(free.numpy()), raw)
+    assert torch.equal(free, torch.from_numpy(decode_classes(raw)))
+    assert np.array_equal(encode_classes(free.numpy()), raw)
     assert torch.equal(unobserved == UNKNOWN, torch.from_numpy(~observed))
     assert 0.05 < ((unseen == UNKNOWN) & (unobserved != UNKNOWN)).sum() / observed.sum() < 0.15
     truth = scene.benchmark(0)
@@ -201,7 +201,7 @@ def test_labels_and_predictions_are_whole_numbers_from_0_to_17(tmp_path, key, wr
     changed = content["semantics"].astype(dtype)
     np.savez(path, **content | {key: changed})
     right = scene.own_voxels(0, "none").numpy() if key == "semantics" else scene.read_prediction(path)
-    np.testing.assert_array_equal(right, from_file(content["semantics"]))
+    np.testing.assert_array_equal(right, decode_classes(content["semantics"]))
     changed[3, 4, 5] = wrong
     np.savez(path, **content | {key: changed})
     shown = "the class ids" if float(wrong).is_integer() else "values that are no whole numbers"
@@ -307,7 +307,7 @@ def label(samples):
 def test_the_real_label_has_the_published_counts(label):
     counts = [169, 82, 0, 974, 1749, 0, 83, 0, 0, 0, 0, 8433, 0, 2610, 1007, 5286, 18699, 600908]
     assert np.bincount(label["semantics"].ravel()).tolist() == counts
-    assert np.bincount(from_file(label["semantics"]).ravel(), minlength=18).tolist() == [counts[17], *counts[:17]]
+    assert np.bincount(decode_classes(label["semantics"]).ravel(), minlength=18).tolist() == [counts[17], *counts[:17]]
     assert (label["mask_lidar"].sum(), label["mask_camera"].sum()) == (56_601, 43_355)
 
 
@@ -338,8 +338,8 @@ EIGHT = (
 )
 def test_rayiou_of_a_real_label_is_that_of_the_public_kernel(label, origins, change, expected):
     """Values of the public script's kernel on this label; it works in float32, so that a few rays may differ."""
-    truth = torch.from_numpy(from_file(label["semantics"]))[None]
-    wrong = torch.from_numpy(from_file(change(label["semantics"], label["mask_camera"] == 1)))[None]
+    truth = torch.from_numpy(decode_classes(label["semantics"]))[None]
+    wrong = torch.from_numpy(decode_classes(change(label["semantics"], label["mask_camera"] == 1)))[None]
     metric = RayIoU(GRID, 18)
     metric.update(wrong, truth, (torch.tensor(origins) - torch.tensor(ORIGIN_M))[None])
     found = metric.compute()
@@ -364,8 +364,8 @@ def test_rayiou_of_a_real_label_is_that_of_the_public_kernel(label, origins, cha
     ],
 )
 def test_voxel_scores_of_a_real_label_are_those_published(label, change, camera, lidar, everywhere, occupied):
-    truth = torch.from_numpy(from_file(label["semantics"]))[None]
-    wrong = torch.from_numpy(from_file(change(label["semantics"], label["mask_camera"] == 1)))[None]
+    truth = torch.from_numpy(decode_classes(label["semantics"]))[None]
+    wrong = torch.from_numpy(decode_classes(change(label["semantics"], label["mask_camera"] == 1)))[None]
     masks = [label["mask_camera"], label["mask_lidar"], np.ones_like(label["mask_camera"])]
     for mask, expected in zip(masks, (camera, lidar, everywhere), strict=True):
         confusion = voxel_confusion(wrong, truth, torch.from_numpy(mask == 1)[None], 18)

@@ -8,7 +8,7 @@ from log_files import write_bin, write_pcd, write_ply
 
 from omniocc.data import DataError
 from omniocc.data.check_source import out_of_reach
-from omniocc.data.formats.clouds import _lzf, read_cloud, read_scan
+from omniocc.data.formats.clouds import _undo_lzf, read_cloud, read_scan
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-50, 50, (401, 3)).astype(np.float32)  # odd: a quarter of it is no whole number
@@ -71,7 +71,7 @@ def test_lzf_undoes_a_known_stream():
     """Bytes by hand after the definition of LZF: 'ab', then 5 bytes from 2 back, then 12 from 1 back, then 'c'."""
     packed = bytes([1, 97, 98, (5 - 2) << 5, 1, 7 << 5, 12 - 9, 0, 0, 99])
     result = np.empty(20, np.uint8)
-    assert _lzf(np.frombuffer(packed, np.uint8), result) == 20
+    assert _undo_lzf(np.frombuffer(packed, np.uint8), result) == 20
     assert result.tobytes() == b"ab" + b"ababa" + b"a" * 12 + b"c"
 
 
@@ -99,8 +99,8 @@ def cut(path, size):
             "label of type U and 48 bytes cannot",
         ),
         ("1.pcd", lambda path: swap(path, b"TYPE F F", b"TYPE FI F"), "the field x of type FI and 4 bytes cannot be"),
-        ("1.pcd", lambda path: swap(path, b"WIDTH 401", b"WIDTH 77"), "WIDTH 77 and HEIGHT 1 of the header are not"),
-        ("1.pcd", lambda path: swap(path, b"POINTS 401", b"POINTS 10"), "WIDTH 401 and HEIGHT 1 of the header are"),
+        ("1.pcd", lambda path: swap(path, b"WIDTH 401", b"WIDTH 77"), "WIDTH 77 and HEIGHT 1 of the header do not"),
+        ("1.pcd", lambda path: swap(path, b"POINTS 401", b"POINTS 10"), "WIDTH 401 and HEIGHT 1 of the header do"),
         ("1.pcd", lambda path: few(path, "binary"), "7,038 bytes are left over after the 10 points"),
         ("1.pcd", lambda path: few(path, "ascii"), "bytes are left over after the 10 points that the header names"),
         ("1.pcd", lambda path: added(path), "5 bytes are left over after the 401 points"),

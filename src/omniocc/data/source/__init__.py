@@ -1,4 +1,4 @@
-"""Sources of scenes: what they promise, and one file for each option."""
+"""Protocols of sources of scenes and of their labels, and the facts that every source states."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -20,12 +20,13 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
 Ignore = Literal["none", "unobserved", "unseen"]
-"""Which cells without points losses and scores ignore (255): none, all are free as in the paper; those that no ray of a
-sensor crossed; or, where a dataset tells it, all cells that no camera sees."""
+"""Which cells losses and scores ignore (255). `none`: no cell; cells without points are free, as in the paper.
+`unobserved`: cells without points that no ray of a sensor crossed. `unseen`: all cells that no camera sees, if the
+dataset has a mask of these."""
 
 
 def refuse_unseen(ignore: Ignore, remedy: str = "choose none or unobserved") -> None:
-    """Raise UserError for `unseen`, where a dataset has no mask of what the cameras see."""
+    """Raise UserError if `ignore` is `unseen`; for datasets without a mask of the cells that cameras see."""
     if ignore == "unseen":
         raise UserError(f"data.ignore=unseen: there is no mask of what cameras see; {remedy}")
 
@@ -35,10 +36,10 @@ class Benchmark:
     """How a dataset's own protocol scores predictions: on its own voxels, whatever the grid of the model.
 
     Attributes:
-        grid: of the dataset's labels, in the ego frame.
-        masked_rays: whether cells that do not count are unknown to rays too; False: rays see all cells, and the mask
-            is for the scores of cells alone.
-        parts: nearer parts of the grid in which cells are scored as well: a name, and the ends along x and y, m.
+        grid: grid of the dataset's labels, in the ego frame.
+        masked_rays: whether cells that do not count are unknown in the scores of rays too; False: rays see all cells,
+            and the mask is for the scores of cells alone.
+        parts: smaller parts of the grid whose cells are also scored apart: a name, and the ends along x and y, m.
     """
 
     grid: Grid
@@ -51,7 +52,7 @@ class SourceSpec:
     """Facts about all scenes of a source.
 
     Attributes:
-        classes: of voxels, pixels and LiDAR hits.
+        classes: classes of voxels, pixels and LiDAR hits.
         range_edges_m: ends of the distance bands in which scores are given. LiDAR hits at the last of them or beyond
             count as free for every grid.
         frame_interval_s: time between recorded frames, s.
@@ -71,7 +72,7 @@ class SourceSpec:
     ray_directions: Float64[Tensor, "D 3"] | None = None
 
     def __post_init__(self) -> None:
-        """Check the bands; raise ValueError if they are fewer than one or do not increase."""
+        """Check the bands; raise ValueError if there are none or their edges do not increase."""
         edges = self.range_edges_m
         if len(edges) < 2 or any(low >= high for low, high in itertools.pairwise(edges)):
             raise ValueError(f"range_edges_m must be two or more increasing distances, got {edges}")
@@ -86,7 +87,7 @@ class SourceSpec:
         return self.road_z_m if rig.road_z_m is None else rig.road_z_m
 
     def scored_grid(self, geometry: Grid) -> Grid:
-        """Return the grid on which the predictions of a model with another one are scored."""
+        """Return the grid on which a model's predictions are scored: the benchmark's, else the model's `geometry`."""
         return geometry if self.benchmark is None else self.benchmark.grid
 
 
@@ -153,7 +154,7 @@ class SceneFrames(Protocol):
 
     @property
     def rigs(self) -> Sequence[Rig]:
-        """Return the cameras of every frame, since extrinsics of real cars change."""
+        """Return the rig of every frame: in data of real cars the poses of cameras differ from frame to frame."""
         ...
 
     def __len__(self) -> int:
@@ -208,10 +209,10 @@ PredictionReader = Callable[[SubmittedScene, Path], UInt8[np.ndarray, "X Y Z"]]
 
 @runtime_checkable
 class NumberedSubmissions(Protocol):
-    """A source in whose submissions classes or cells are numbered in several ways, which their values tell apart."""
+    """A source whose submissions number classes or cells in one of several ways; the values in them tell which."""
 
     def prediction_reader(self, files: Sequence[tuple[SubmittedScene, int, Path]]) -> tuple[PredictionReader, str]:
-        """Return what reads the files (scene, frame, path) of a submission, and a line on how they are numbered."""
+        """Return the function that reads these files (scene, frame, path), and a line on how they are numbered."""
         ...
 
 
@@ -282,7 +283,7 @@ class SceneSource(Protocol):
 
 @runtime_checkable
 class MadeScenes(SceneSource, Protocol):
-    """A source that makes its scenes when they are asked for; what they will be is known before."""
+    """A source that makes its scenes when they are asked for; their rig and numbers of frames are known before."""
 
     @property
     def made_here(self) -> bool:
@@ -294,7 +295,7 @@ class MadeScenes(SceneSource, Protocol):
         ...
 
     def planned(self, split: Split) -> dict[str, int]:
-        """Return the numbers of frames of the scenes of a split, by name, in order."""
+        """Return the number of frames of each scene of a split, by name, in order."""
         ...
 
     def missing(self) -> Sequence[object]:
@@ -302,9 +303,9 @@ class MadeScenes(SceneSource, Protocol):
         ...
 
     def made_before(self, fingerprint: str) -> Sequence[SceneFrames]:
-        """Return the scenes of all splits that had this fingerprint, even made by other code; none if they are gone."""
+        """Return the scenes of all splits with this fingerprint, even if made by other code; none if they are gone."""
         ...
 
     def made(self, split: Split, names: Sequence[str]) -> list[SceneFrames]:
-        """Return some scenes of a split, after those that are missing have been made."""
+        """Return the scenes of a split with these names; make those that are missing first."""
         ...

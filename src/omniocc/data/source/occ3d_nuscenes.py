@@ -36,16 +36,17 @@ from rayiou.directions import RayOrigins, origin_frames
 
 SHAPE = (200, 200, 16)
 ORIGIN_M = (0.8, 0.0, 1.8)
-"""Our ego origin in the ego frame of nuScenes (on the ground, amid the rear axle): between the cameras, and such that
-the cells of Occ3D lie between -2.8 and 3.6 m of height, as those of this project's grids."""
+"""Our ego origin in the ego frame of nuScenes (on the ground, amid the rear axle). It lies between the cameras, and
+puts the cells of Occ3D between z = -2.8 and 3.6 m, like the cells of this project's grids."""
 GRID = Cuboid(SHAPE, (-40.8, 39.2), (-40.0, 40.0), (-2.8, 3.6))
 """The voxels of Occ3D (-40 .. 40, -40 .. 40, -1 .. 5.4 m) in our ego frame."""
 FREE_ID = 17
 """Free space in the files; every other class has our id less one."""
-TABLE = class_table({number: (number + 1) % (FREE_ID + 1) for number in range(FREE_ID + 1)})
+CLASS_OF_FILE_ID = class_table({number: (number + 1) % (FREE_ID + 1) for number in range(FREE_ID + 1)})
+"""Our class for each class id in the files."""
 OWN_CAR_M = ((-1.8, -1.1, -1.8), (2.8, 1.1, 0.5))
-"""Lowest and highest x, y, z of the own car, our ego frame; LiDAR points in it are left out."""
-GTS = "download the labels of Occ3D-nuScenes ('gts') into data.source.root"
+"""Lowest and highest x, y, z of the own car, our ego frame; LiDAR points within are left out."""
+LABELS_REMEDY = "download the labels of Occ3D-nuScenes ('gts') into data.source.root"
 
 CLASSES = ClassTable(
     tuple(
@@ -76,7 +77,8 @@ CLASSES = ClassTable(
 )
 """Classes of Occ3D, free first; colours of the nuScenes devkit."""
 
-LIDARSEG = class_table(
+NO_CLASS = 254
+FILE_ID_OF_LIDARSEG = class_table(
     {
         9: 1,
         14: 2,
@@ -98,10 +100,10 @@ LIDARSEG = class_table(
         27: 14,
         28: 15,
         30: 16,
-        **dict.fromkeys((0, 1, 5, 7, 8, 10, 11, 13, 19, 20, 29, 31), 254),
+        **dict.fromkeys((0, 1, 5, 7, 8, 10, 11, 13, 19, 20, 29, 31), NO_CLASS),
     }
 )
-"""Class in the files of Occ3D for each of the 32 classes of nuScenes-lidarseg; 254: none of them, unknown."""
+"""Class id in the files of Occ3D for each of the 32 classes of nuScenes-lidarseg, `NO_CLASS` where there is none."""
 
 
 class Occ3DNuScenes:
@@ -114,12 +116,12 @@ class Occ3DNuScenes:
         root: folder with `v1.0-trainval` (tables), `samples` (images, LiDAR) and `gts` (labels); `lidarseg` is
             optional and gives classes of pixels and LiDAR rays.
         version: folder of the tables: v1.0-trainval or v1.0-mini.
-        image_width: of the images that the model gets, px; the height follows, a multiple of 8.
+        image_width: width of the images that the model gets, px; the height follows, a multiple of 8.
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
         ego_motion: whether the cameras are placed where the car was when each of them took its image; False: as
             mounted, so that all frames of a scene have equal rigs.
-        val_every: every how many-th training scene is for validation.
-        cache: folder for the index and what is derived from the labels; None: `omniocc` in root.
+        val_every: n, of which every n-th training scene is for validation; at least 2.
+        cache: folder for the index and the data derived from the labels; None: `omniocc` in root.
 
     Raises:
         ValueError: if a number is too small.
@@ -151,7 +153,7 @@ class Occ3DNuScenes:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the scenes, of the sizes of images and panoramas, and of where the cameras are."""
+        """Return a hash of the scenes, the sizes of images and panoramas, and the option `ego_motion`."""
         return digest([self.version, self.index.fingerprint, self.image_width, repr(self.panorama), self.ego_motion])
 
     def prepare(self) -> None:
@@ -171,12 +173,12 @@ class Occ3DNuScenes:
     def split_names(self) -> dict[Split, list[str]]:
         """Return the names of the scenes of every split."""
         training = [name for name in self.index.names if not is_validation(name)]
-        chosen = training[self.val_every - 1 :: self.val_every]
+        val = training[self.val_every - 1 :: self.val_every]
         test = [name for name in self.index.names if is_validation(name)]
-        return {"train": [name for name in training if name not in chosen], "val": chosen, "test": test}
+        return {"train": [name for name in training if name not in val], "val": val, "test": test}
 
     def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
-        """Return the labels of Occ3D in a grid: `unobserved` cells no LiDAR ray met, `unseen` cells no camera sees."""
+        """Return the labels of Occ3D in a grid; `unobserved` and `unseen` use its masks of LiDAR and cameras."""
         return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, CLASSES.num_classes, ignore)
 
     def _read_tables(self) -> dict[str, KeyFrames]:
@@ -216,7 +218,9 @@ class Occ3DScene(DatasetScene):
         for matrices, intrinsics, sizes in zip(poses, self.frames.intrinsics, self.frames.size, strict=True):
             key = matrices.tobytes() + intrinsics.tobytes()
             if key not in rigs:
-                cameras = tuple(_camera(k, size, self.image_width) for k, size in zip(intrinsics, sizes, strict=True))
+                cameras = tuple(
+                    _make_camera(k, size, self.image_width) for k, size in zip(intrinsics, sizes, strict=True)
+                )
                 rigs[key] = Rig(cameras, torch.from_numpy(matrices), CAMERAS, None, -ORIGIN_M[2])
         return tuple(
             rigs[matrices.tobytes() + intrinsics.tobytes()]
@@ -237,24 +241,24 @@ class Occ3DScene(DatasetScene):
         ego_from_lidar = shift(*(-value for value in ORIGIN_M)) @ self.frames.ego_from_lidar[frame]
         with self.naming(frame):
             points_m, came_back = read_scan(self.root / str(self.frames.lidar[frame]), 5)
-            labels = self._point_labels(frame, came_back)
+            labels = self._read_point_labels(frame, came_back)
         points_m = transform_points(ego_from_lidar, points_m).astype(np.float32)
         kept = outside(points_m, *OWN_CAR_M)
         return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell of Occ3D's grid."""
-        content = self._content(frame)
-        labels = torch.from_numpy(content["semantics"])
+        arrays = self._read_labels(frame)
+        labels = torch.from_numpy(arrays["semantics"])
         masks = {"none": None, "unobserved": "mask_lidar", "unseen": "mask_camera"}
         mask = masks[ignore]
-        return labels if mask is None else labels.masked_fill(torch.from_numpy(content[mask] == 0), UNKNOWN)
+        return labels if mask is None else labels.masked_fill(torch.from_numpy(arrays[mask] == 0), UNKNOWN)
 
     def benchmark(self, frame: int) -> BenchmarkFrame:
         """Return the labels, the camera mask, and the origins from which the public RayIoU casts its rays."""
-        content = self._content(frame)
-        scored: Bool[Tensor, "X Y Z"] = torch.from_numpy(content["mask_camera"] != 0)
-        labels = torch.from_numpy(content["semantics"])
+        arrays = self._read_labels(frame)
+        scored: Bool[Tensor, "X Y Z"] = torch.from_numpy(arrays["mask_camera"] != 0)
+        labels = torch.from_numpy(arrays["semantics"])
         return BenchmarkFrame(labels, scored, self.ray_origins(frame))
 
     def ray_origins(self, frame: int) -> RayOrigins:
@@ -276,41 +280,41 @@ class Occ3DScene(DatasetScene):
         return f"{self.frames.tokens[frame]}.npz"
 
     def write_prediction(self, path: Path, classes: UInt8[np.ndarray, "X Y Z"]) -> None:
-        """Write classes as the array `pred`, 17 free."""
+        """Write our classes (0 free) as the array `pred` (17 free)."""
         content = io.BytesIO()
-        np.savez_compressed(content, pred=to_file(classes))
+        np.savez_compressed(content, pred=encode_classes(classes))
         atomic_write(path, content.getvalue())
 
     def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
-        """Return the classes of the array `pred`."""
-        return from_file(read_npz(path, {"pred": SHAPE})["pred"], path)
+        """Return our classes (0 free) from the array `pred` (17 free)."""
+        return decode_classes(read_npz(path, {"pred": SHAPE})["pred"], path)
 
-    def _content(self, frame: int) -> dict[str, np.ndarray]:
+    def _read_labels(self, frame: int) -> dict[str, np.ndarray]:
         names, path = ("semantics", "mask_lidar", "mask_camera"), self.label_file(frame)
         with self.naming(frame):
-            content = read_npz(path, dict.fromkeys(names, SHAPE), GTS)
-            return content | {"semantics": from_file(content["semantics"], path)}
+            arrays = read_npz(path, dict.fromkeys(names, SHAPE), LABELS_REMEDY)
+            return arrays | {"semantics": decode_classes(arrays["semantics"], path)}
 
-    def _point_labels(self, frame: int, kept: Bool[np.ndarray, " R"]) -> np.ndarray | None:
+    def _read_point_labels(self, frame: int, kept: Bool[np.ndarray, " R"]) -> np.ndarray | None:
         folder = self.root / "lidarseg" / self.version
         if not folder.is_dir():
             return None
         path = folder / f"{self.frames.lidar_tokens[frame]}_lidarseg.bin"
-        raw = map_classes(read_array(path, "u1", kept.shape)[kept], LIDARSEG, path)
-        return np.where(raw == 254, UNKNOWN, raw + 1).astype(np.uint8)
+        file_ids = map_classes(read_array(path, "u1", kept.shape)[kept], FILE_ID_OF_LIDARSEG, path)
+        return np.where(file_ids == NO_CLASS, UNKNOWN, file_ids + 1).astype(np.uint8)
 
 
-def from_file(semantics: np.ndarray, path: Path = Path("labels.npz")) -> np.ndarray:
-    """Return our classes (0 free) of those in a file (17 free); raise DataError for others, naming the file."""
-    return map_classes(semantics, TABLE, path)
+def decode_classes(semantics: np.ndarray, path: Path = Path("labels.npz")) -> np.ndarray:
+    """Return our classes (0 free) for class ids of a file (17 free); raise DataError for other ids, naming the file."""
+    return map_classes(semantics, CLASS_OF_FILE_ID, path)
 
 
-def to_file(classes: np.ndarray) -> np.ndarray:
-    """Return the classes of a file (17 free) of ours (0 free)."""
+def encode_classes(classes: np.ndarray) -> np.ndarray:
+    """Return the class ids of a file (17 free) for our classes (0 free)."""
     return np.where(classes == FREE, FREE_ID, classes - 1).astype(np.uint8)
 
 
-def _camera(matrix: np.ndarray, size: np.ndarray, image_width: int) -> Camera:
+def _make_camera(matrix: np.ndarray, size: np.ndarray, image_width: int) -> Camera:
     (width, height), k = size.tolist(), matrix
     camera = Pinhole(width, height, (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2])))
     return camera.resized(*scaled_size(width, height, image_width))

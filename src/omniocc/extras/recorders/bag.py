@@ -16,7 +16,7 @@ from omniocc.errors import DataError, UserError, in_line, installing
 from omniocc.extras.recorders.files import ego_points, lidar_options, plain_options, stated_depth
 from omniocc.extras.recorders.labels import read_point_classes
 from omniocc.extras.recorders.log import Log, Scans, Timing, chosen_rig
-from omniocc.extras.recorders.log_scene import LogRecorder, Stated
+from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.messages import FrameTree, camera_of, cloud_of, image_of, pose_of, stamp_s, timed
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
 from omniocc.images import Depth
@@ -68,7 +68,7 @@ class RosBag(LogRecorder):
         ego_from_base: pose of that frame, which the poses are of, in the ego frame; None: it is the ego frame.
         lidar: None, or a mapping with the keys of `LIDAR_KEYS`.
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
-        image_size: see `Stated`, as `panorama`, `road_z_m` and `moving`.
+        image_size: see `SceneOptions`, as `panorama`, `road_z_m` and `moving`.
         image_bits: how many of the bits of images of 16 are used; None: not known.
 
     Raises:
@@ -98,7 +98,9 @@ class RosBag(LogRecorder):
         image_bits: int | None = None,
     ):
         super().__init__(
-            name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
+            name,
+            Timing(reference, limit_s, interval_s, pose_gap_s),
+            SceneOptions(image_size, panorama, road_z_m, moving),
         )
         self.bag, self.rig_file, self.depth = Path(bag), rig, Depth(image_bits, "recorder.image_bits")
         if not cameras:

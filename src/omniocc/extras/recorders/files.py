@@ -20,7 +20,7 @@ from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.labels import PointClasses, classes_of, read_point_classes
 from omniocc.extras.recorders.log import Log, Scans, Timing, chosen_rig
-from omniocc.extras.recorders.log_scene import LogRecorder, Stated
+from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.poses import PER_SECOND, PosesFormat, read_timed_poses, seconds, stated_pose
 from omniocc.images import Depth, content_of
 
@@ -64,7 +64,7 @@ class LogFiles(LogRecorder):
         ego_from_pose_frame: pose of what the poses are of, in the ego frame; None: they are of the ego frame.
         lidar: None, or a mapping with the keys of `LIDAR_KEYS`.
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
-        image_size: see `Stated`, as `panorama`, `road_z_m` and `moving`.
+        image_size: see `SceneOptions`, as `panorama`, `road_z_m` and `moving`.
         image_bits: how many of the bits of images of 16 are used; None: not known.
 
     Raises:
@@ -96,7 +96,9 @@ class LogFiles(LogRecorder):
         image_bits: int | None = None,
     ):
         super().__init__(
-            name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
+            name,
+            Timing(reference, limit_s, interval_s, pose_gap_s),
+            SceneOptions(image_size, panorama, road_z_m, moving),
         )
         self.folder, self.depth = Path(log), Depth(image_bits, "recorder.image_bits")
         if time_unit not in PER_SECOND or poses_time_unit not in (None, *PER_SECOND):

@@ -1,6 +1,5 @@
-"""A log becomes a scene: the samples that belong together are chosen, then written frame by frame."""
+"""Record a log as a scene: choose the images and the scan of every frame, then write frame by frame."""
 
-import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing
@@ -31,19 +30,19 @@ from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
 
 SHORTEST_S, LONGEST_S = 5e-4, 60.0
-"""Limits of the median time between frames: beyond them the unit of the times is wrong."""
+"""Limits of the median time between frames, s: beyond them the unit of the times is taken to be wrong."""
 OFF_CENTRE_M = 0.5
-"""Horizontal distance of the ego origin from the middle of the cameras from which it is said."""
+"""A user is told when the ego origin is horizontally farther than this from the middle of the cameras."""
 
 
-class Stated(NamedTuple):
-    """What no file of a log says.
+class SceneOptions(NamedTuple):
+    """Facts about a scene that no file of its log gives.
 
     Attributes:
-        image_size: width and height of the recorded images, px; None: that of the first camera's calibration.
+        image_size: width and height of the recorded images, px; None: the size in the first camera's calibration.
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
-        road_z_m: height of the road in the ego frame, m; None: that of the rig.
-        moving: whether other things than the car move in the scene; None: not stated.
+        road_z_m: height of the road in the ego frame, m; None: the height in the rig.
+        moving: whether anything but the car moves in the scene; None: not stated.
     """
 
     image_size: Sequence[int] | None
@@ -56,17 +55,17 @@ class LogRecorder(ABC):
     """Base class of the recorders of logs, which are folders of files or ROS bags.
 
     Args:
-        name: of the scene, and of its folder.
+        name: name of the scene and of its folder.
         timing: which samples make a frame.
-        stated: what no file of the log says.
+        options: facts that no file of the log gives.
 
     Raises:
         ValueError: naming the option that is impossible.
     """
 
-    def __init__(self, name: str, timing: Timing, stated: Stated):
-        self.name, self.timing, self.stated = check_name(name), check_timing(timing), stated
-        panorama_of(stated.panorama)
+    def __init__(self, name: str, timing: Timing, options: SceneOptions):
+        self.name, self.timing, self.options = check_name(name), check_timing(timing), options
+        panorama_of(options.panorama)
 
     @abstractmethod
     def open(self) -> AbstractContextManager[Log]:
@@ -83,10 +82,10 @@ class LogRecorder(ABC):
             UserError, DataError: naming the option, file or message that cannot be used.
         """
         with self.open() as log:
-            return [record_log(log, Path(root) / self.name, self.timing, self.stated)]
+            return [record_log(log, Path(root) / self.name, self.timing, self.options)]
 
 
-def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
+def record_log(log: Log, folder: Path, timing: Timing, options: SceneOptions) -> Path:
     """Write the scene of a log and return its folder; a scene made from the same log is returned as it is.
 
     Raises:
@@ -94,26 +93,26 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
         DataError: naming the file that is damaged, or the folder that holds another scene.
     """
     plan = plan_frames(log, timing)
-    rig = _scaled_rig(log.rig, stated)
-    recipe = _recipe(log, plan, rig, timing, stated)
+    rig = _scale_rig(log.rig, options)
+    recipe = _hash_recipe(log, plan, rig, timing, options)
     if _is_made(folder, recipe):
         print(f"{folder} is there already, made from the same log with the same options")
         return folder
     with Progress(f"recording {folder}", len(plan.times_s)) as progress:
-        lenses = lenses_that_do_not_fit(rig)
-        told = name_lines(folder.name), plan_lines(plan, log.place), missing_lines(plan), lenses, origin_lines(rig)
-        for line in itertools.chain(*told):
+        lens_lines = lenses_that_do_not_fit(rig)
+        plan_messages = *plan_lines(plan, log.place), *missing_lines(plan)
+        for line in (*name_lines(folder.name), *plan_messages, *lens_lines, *origin_lines(rig)):
             progress.message(line)
         assert rig.road_z_m is not None
         reach_m = spec_of_log(log, plan, rig.road_z_m).reach_m
         check_points(log, plan, reach_m)
-        whys: list[str] = []
-        work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe, whys=whys)
+        reasons: list[str] = []
+        work = partial(_write_scene, log=log, plan=plan, rig=rig, options=options, recipe=recipe, reasons=reasons)
         make_scenes(work, [folder], 0, progress)
-        if whys:
-            frames = f"{len(whys)} of {len(plan.times_s)} frames have hardly any points, in the first of them"
-            progress.message(f"scene '{folder.name}': {frames} {whys[0]}")
-    _is_made(folder, recipe)  # another process may have made one of this name meanwhile
+        if reasons:
+            frames = f"{len(reasons)} of {len(plan.times_s)} frames have hardly any points, in the first of them"
+            progress.message(f"scene '{folder.name}': {frames} {reasons[0]}")
+    _is_made(folder, recipe)  # raises if another process has made a different scene of this name meanwhile
     return folder
 
 
@@ -130,7 +129,7 @@ def _is_made(folder: Path, recipe: str) -> bool:
 
 
 def name_lines(name: str) -> list[str]:
-    """Return a line about a name that `data=recorded` does not read by itself."""
+    """Return a line if `data=recorded` does not find the scene by this name alone; else none."""
     if name.startswith(tuple(f"{split}-" for split in SPLITS)):
         return []
     starts = ", ".join(f"{split}-" for split in SPLITS)
@@ -140,7 +139,7 @@ def name_lines(name: str) -> list[str]:
 
 
 def origin_lines(rig: Rig) -> list[str]:
-    """Return a line on an ego origin that is not between the cameras: depth is searched on spheres around it."""
+    """Return a line if the ego origin, around which depth is searched, is not between the cameras; else none."""
     middle_m = rig.ego_from_camera[:, :2, 3].mean(0)
     if middle_m.norm() <= OFF_CENTRE_M:
         return []
@@ -155,7 +154,7 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
     """Return a line on the number of frames and their times.
 
     Raises:
-        UserError: if the time between frames is that of no car's cameras.
+        UserError: if the median time between frames is implausible for the cameras of a car.
     """
     count = len(plan.times_s)
     if count < 2:
@@ -163,50 +162,55 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
     step_s = float(np.median(np.diff(plan.times_s)))
     if not SHORTEST_S <= step_s <= LONGEST_S:
         raise UserError(
-            f"{place}: the frames are {step_s:.3g} s apart, which no camera on a car is; is the unit of the times "
+            f"{place}: the frames are {step_s:.3g} s apart, which is implausible for a car; is the unit of the times "
             "right (time_unit, poses_time_unit)?"
         )
     return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, one each {step_s:.3g} s"]
 
 
 def check_points(log: Log, plan: Plan, reach_m: float) -> None:
-    """Check that some frame has points that can be used; mostly the first one has. A LiDAR may look far ahead alone.
+    """Check that some frame has enough points within reach; reading ends at the first that has.
+
+    A frame whose points are beyond reach is accepted if their median distance is plausible for a LiDAR: it may only
+    look far ahead.
 
     Raises:
         DataError: naming the likely reason, before anything is written.
     """
     if plan.scans is None or log.scans is None:
         return
-    why = ""
+    first_reason = ""
     for number in range(len(plan.scans)):
-        points = frame_points(log, plan, number)
+        points = read_points(log, plan, number)
         assert points is not None
-        found, distance_m = out_of_reach(points.points_m, reach_m), distances_m(points.points_m)
-        if not found or (len(distance_m) and np.median(distance_m) < FAR_M):
+        reason, distance_m = out_of_reach(points.points_m, reach_m), distances_m(points.points_m)
+        if not reason or (len(distance_m) and np.median(distance_m) < FAR_M):
             return
-        why = why or found
-    if why:
-        first = log.scans.name(int(plan.scans[0]))
-        raise DataError(f"{first}: all {len(plan.scans)} frames have hardly any points, in the first of them {why}")
+        first_reason = first_reason or reason
+    if first_reason:
+        name = log.scans.name(int(plan.scans[0]))
+        raise DataError(
+            f"{name}: all {len(plan.scans)} frames have hardly any points, in the first of them {first_reason}"
+        )
 
 
-def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:
-    """Return a hash of all that decides the frames but for the content of images and scans."""
+def _hash_recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, options: SceneOptions) -> str:
+    """Return a hash of all that decides the frames, except the content of images and scans."""
     parts = [
         part.tobytes().hex()
         for part in (plan.times_s, plan.images, plan.world_from_ego, plan.scans, plan.ego_from_scan)
         if part is not None
     ]
-    options = [list(timing), list(stated), rig.fingerprint, dict(log.facts), list(log.inputs)]
-    return digest([*parts, repr(options), [] if log.scans is None else log.scans.classes.to_dict()])
+    settings = [list(timing), list(options), rig.fingerprint, dict(log.facts), list(log.inputs)]
+    return digest([*parts, repr(settings), [] if log.scans is None else log.scans.classes.to_dict()])
 
 
-def _scaled_rig(rig: Rig, stated: Stated) -> Rig:
-    road_z_m = rig.road_z_m if stated.road_z_m is None else stated.road_z_m
+def _scale_rig(rig: Rig, options: SceneOptions) -> Rig:
+    road_z_m = rig.road_z_m if options.road_z_m is None else options.road_z_m
     if road_z_m is None:
         raise UserError("the height of the road is not known: give road_z_m, m, in the ego frame, or in the rig file")
     first = rig.cameras[0]
-    width, height = (first.width, first.height) if stated.image_size is None else map(int, stated.image_size)
+    width, height = (first.width, first.height) if options.image_size is None else map(int, options.image_size)
     try:
         scaled = rig.resized(width, height)
     except ValueError as error:
@@ -220,38 +224,39 @@ def _scaled_rig(rig: Rig, stated: Stated) -> Rig:
 
 
 def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
-    """Return the classes of the points, the bands of the virtual world, and the median time between frames."""
+    """Return the facts of the scene: its classes, the bands of the virtual world, the median time between frames."""
     steps_s = np.diff(plan.times_s)
-    interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else 0.0  # equal for scenes of one set of sensors
+    # rounded, to be equal for scenes of the same sensors
+    interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else 0.0
     classes = OCCUPANCY_CLASSES if log.scans is None else log.scans.classes
     return recorded_spec(classes, interval_s, road_z_m)
 
 
-def _write(
-    folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str, whys: list[str]
+def _write_scene(
+    folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, options: SceneOptions, recipe: str, reasons: list[str]
 ) -> None:
-    """Write all frames; add to `whys` why those with hardly any points have none within reach."""
+    """Write all frames; add to `reasons` a line for each with hardly any points within reach."""
     if folder.exists():  # another process has made it while this one waited
         report(len(plan.times_s))
         return
     assert rig.road_z_m is not None
-    panorama = panorama_of(stated.panorama)
+    panorama = panorama_of(options.panorama)
     with closing(SceneWriter(folder)) as writer:
         spec = spec_of_log(log, plan, rig.road_z_m)
         for number in range(len(plan.times_s)):
             frame = read_frame(log, plan, number, rig, panorama)
-            if frame.points_m is not None and (why := out_of_reach(frame.points_m, spec.reach_m)):
-                whys.append(why)
+            if frame.points_m is not None and (reason := out_of_reach(frame.points_m, spec.reach_m)):
+                reasons.append(reason)
             append_frame(writer, frame)
             report(1)
-        facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
+        facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": options.moving}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})
 
 
 def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:
-    """Return one frame of a log at the size of `rig`; with a LiDAR its points and what they show in every image.
+    """Return one frame of a log at the size of `rig`; with a LiDAR also its points and their ranges in all images.
 
     Raises:
         DataError: naming the image or scan that is damaged.
@@ -259,9 +264,9 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
     images = []
     for camera, (calibrated, scaled) in enumerate(zip(log.rig.cameras, rig.cameras, strict=True)):
         image, where = log.read_image(camera, int(plan.images[number, camera]))
-        images.append(fitted(image, calibrated, (scaled.width, scaled.height), where))
+        images.append(scale_image(image, calibrated, (scaled.width, scaled.height), where))
     frame = RecordedFrame(float(plan.times_s[number] - plan.times_s[0]), plan.world_from_ego[number], np.stack(images))
-    points = frame_points(log, plan, number)
+    points = read_points(log, plan, number)
     if points is None:
         return frame
     return replace(
@@ -273,18 +278,18 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
     )
 
 
-def frame_points(log: Log, plan: Plan, number: int) -> Points | None:
+def read_points(log: Log, plan: Plan, number: int) -> Points | None:
     """Return the points of a frame's scan in its ego frame; None without a LiDAR, DataError for a damaged scan."""
     if log.scans is None or plan.scans is None:
         return None
     points = log.scans.read(int(plan.scans[number]))
     if plan.ego_from_scan is None:
         return points
-    # the car has moved since the scan, or had not yet
+    # the car moves between the time of the frame and the time of the scan
     return points._replace(points_m=transform_points(plan.ego_from_scan[number], points.points_m).astype(np.float32))
 
 
-def fitted(
+def scale_image(
     image: UInt8[np.ndarray, "h w 3"], camera: Camera, size: tuple[int, int], where: str
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Return an image scaled to `size` (width, height); raise DataError if it is not of the camera's aspect ratio."""
@@ -293,7 +298,7 @@ def fitted(
 
 
 def check_name(name: str) -> str:
-    """Return the name of a scene; raise ValueError if it cannot be that of a folder of scenes, which has no point."""
+    """Return the name of a scene; raise ValueError if its folder cannot have this name, as with a point in it."""
     if "." in name:
-        raise ValueError(f"name is '{name}'; a folder gets it: no point, no slash, such as train-000-town")
+        raise ValueError(f"name is '{name}'; it names a folder: no point, no slash, such as train-000-town")
     return checked_name("name", name)

@@ -13,21 +13,22 @@ from omniocc.model.protocols import Sketched
 
 
 class BiGrid(nn.Module):
-    """Sample image features at the middles of a grid's cells and of a second grid's, and bring both together.
+    """Sample image features at the middles of the cells of two grids, and bring them together in the first.
 
     In the style of OneOcc (arXiv 2511.03571): a feature is the bilinear sample at the projection of a cell's middle,
     averaged over the cameras that see it. Each voxel gets the features of its own cell and of the second grid's cell
-    that its middle lies in (a stored index), concatenated and mixed by a linear map. Features of all cells are sampled;
-    candidates are ignored. Where no camera sees a cell, and beyond the second grid, features are zero.
+    that its middle lies in, concatenated and mixed by a linear map. Features of all cells are sampled; candidates are
+    ignored. Where no camera sees a cell, and beyond the second grid, features are zero.
 
     Args:
-        second: the other grid, usually a cylinder beside a cuboid; None: one grid alone.
-        in_channels: of image features.
-        channels: of the volume, and of the features of each grid.
-        levels: strides of the feature maps, px, finest first, whose features add up.
+        second: the second grid, usually a cylinder beside a cuboid; None: one grid alone.
+        in_channels: channels of the image features.
+        channels: channels of the volume, and of the features of each grid.
+        levels: strides of the feature maps, px, finest first; their features are summed.
     """
 
     index: Tensor
+    """Cell of the second grid that the middle of each voxel lies in; the number of its cells where it is outside."""
 
     def __init__(self, geometry: Grid, second: Grid | None, in_channels: int, channels: int, levels: list[int]):
         super().__init__()
@@ -43,27 +44,27 @@ class BiGrid(nn.Module):
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift each sample through its own rig."""
         own, *others = (
-            self._sampled(features, grid, maps, rigs)  # type: ignore[arg-type]
+            self._sample(features, grid, maps, rigs)  # type: ignore[arg-type]
             for grid, maps in zip(self.grids, self.maps, strict=True)
         )
         volumes = [own, *(resample_features(volume, self.index, own.shape[2:]) for volume in others)]
         return self.mix(torch.cat(volumes, dim=1))
 
-    def _sampled(
+    def _sample(
         self, features: FeatureMaps, grid: Grid, maps: nn.ModuleList, rigs: tuple[Rig, ...]
     ) -> Float[Tensor, "B D _ _ _"]:
-        everywhere = torch.ones(len(rigs), *grid.shape, dtype=torch.bool, device=features[0].device)
-        levels = []
+        all_cells = torch.ones(len(rigs), *grid.shape, dtype=torch.bool, device=features[0].device)
+        sampled = []
         for level, linear, stride in zip(features, maps, self.strides, strict=True):
             mapped = linear(level.movedim(2, -1)).movedim(-1, 2)
-            levels.append(sample_at_voxels(mapped, everywhere, rigs, grid, stride))
-        return sum(levels[1:], levels[0])
+            sampled.append(sample_at_voxels(mapped, all_cells, rigs, grid, stride))
+        return sum(sampled[1:], sampled[0])
 
 
 def resample_features(
     volume: Float[Tensor, "B D U V W"], index: Int64[Tensor, " cells"], shape: torch.Size
 ) -> Float[Tensor, "B D X Y Z"]:
-    """Return the features of the cells of another grid that `index` names; the number after its last is zero."""
+    """Return for each cell the features of cell `index` of another grid; zero where `index` is its number of cells."""
     rows = volume.movedim(1, -1).flatten(1, 3)
     rows = torch.cat([rows, rows.new_zeros(len(rows), 1, rows.shape[2])], dim=1)
     return rows[:, index].unflatten(1, shape).movedim(-1, 1)

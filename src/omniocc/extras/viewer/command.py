@@ -1,4 +1,4 @@
-"""Show frames in the Rerun viewer, a file or a page: what `src/view.py` does with its options."""
+"""The commands of `src/view.py`: show frames in the Rerun viewer, or write them to a file or a page."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def view(options: ViewOptions | None, target: TargetOptions) -> None:
-    """Show what the options choose, or follow runs in progress where there are none.
+    """Show the frames that the options choose; without options, follow runs in progress.
 
     Raises:
         UserError: naming the option or package that is missing.
@@ -24,7 +24,7 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
 
         watch(Path(str(target.watch)), target.port)
         return
-    path = write_page(options, target)
+    path = show_frames(options, target)
     if path is not None and target.wandb:
         from omniocc.runs.wandb.loggers import log_file
 
@@ -33,10 +33,10 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
         print(f"{path} is kept in {folder}/wandb; upload it by: make wandb-sync")
 
 
-def write_page(options: ViewOptions, target: TargetOptions) -> Path | None:
-    """Show the frames and return the file that they were written to; None for a viewer."""
+def show_frames(options: ViewOptions, target: TargetOptions) -> Path | None:
+    """Show the frames and return the file that they were written to; None if a viewer shows them."""
     if target.page:
-        return written_page(options, target)
+        return show_page(options, target)
     try:
         from omniocc.extras.viewer.timeline.log import show
         from omniocc.extras.viewer.timeline.sinks import check_place
@@ -44,25 +44,25 @@ def write_page(options: ViewOptions, target: TargetOptions) -> Path | None:
         raise UserError(f"the Rerun viewer needs one more package: {installing('rerun')}") from error
     path = None if target.save is None else Path(target.save)
     check_place(path, target.connect)
-    show(opened(options), path, target.connect)
+    show(open_frames(options), path, target.connect)
     if path is not None:
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it by: rerun {path}")
     return path
 
 
-def written_page(options: ViewOptions, target: TargetOptions) -> Path:
+def show_page(options: ViewOptions, target: TargetOptions) -> Path:
     """Write the frames to a page and return its path."""
     from omniocc.extras.viewer.collect import with_progress
     from omniocc.extras.viewer.page import page_path, write_page
 
-    path, frames = page_path(target.output, options.run), opened(options)
+    path, frames = page_path(target.output, options.run), open_frames(options)
     write_page(frames, with_progress(frames), path)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
     return path
 
 
-def opened(options: ViewOptions) -> "Shown":
-    """Return the frames, and print where they come from."""
+def open_frames(options: ViewOptions) -> "Shown":
+    """Return the frames that the options choose, and print where they come from."""
     from omniocc.extras.viewer.collect import open_shown
 
     frames = open_shown(options)
@@ -72,7 +72,7 @@ def opened(options: ViewOptions) -> "Shown":
 
 @contextmanager
 def open_viewer(viewer: str | None, title: str, stream: Literal["RangeStream", "VoxelStream"]) -> Iterator[Any]:
-    """Yield what streams predicted frames into a Rerun viewer; None without one.
+    """Yield a stream of predicted frames into a Rerun viewer; None without a viewer.
 
     Raises:
         UserError: when Rerun is not installed.

@@ -16,7 +16,7 @@ Options = TypeVar("Options", "ViewOptions", "TargetOptions")
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Options that choose what is shown; see `conf/view.yaml`."""
+    """Options that choose which frames are shown; see `conf/view.yaml`."""
 
     run: Sequence[str] = ()
     recorded: str | None = None
@@ -41,7 +41,7 @@ class ViewOptions:
 
 @dataclass(frozen=True)
 class TargetOptions:
-    """Options that choose where it is shown; see `conf/view.yaml`."""
+    """Options that choose where frames are shown; see `conf/view.yaml`."""
 
     save: str | None = None
     connect: str | None = None
@@ -75,26 +75,26 @@ def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:
     """
     values = {str(key): value for key, value in cfg.items()}
     values["run"] = [cfg.run] if isinstance(cfg.run, str) else cfg.run if cfg.run is not None else []
-    target = _built(TargetOptions, values)
+    target = _build(TargetOptions, values)
     if target.wandb and not (values["run"] and Path(values["run"][0]).is_dir()):
         raise UserError("wandb=true keeps the file with a run: give run=runs/<run>, the run's folder")
     if target.watch is None:
-        return _built(ViewOptions, values), target
-    default = ViewOptions(run=("any",))
-    names = [one.name for one in fields(ViewOptions)]
-    others = [name for name in names if values[name] not in ([], getattr(default, name))]
-    if others:
-        raise UserError(f"watch={target.watch} follows runs in progress: leave {', '.join(others)} out")
+        return _build(ViewOptions, values), target
+    default = ViewOptions(run=("any",))  # without a run the constructor raises
+    names = [field.name for field in fields(ViewOptions)]
+    given = [name for name in names if values[name] not in ([], getattr(default, name))]
+    if given:
+        raise UserError(f"watch={target.watch} follows runs in progress: leave {', '.join(given)} out")
     return None, target
 
 
-def _built(kind: type[Options], values: dict[str, Any]) -> Options:
-    """Return the options of a class, compared with its types."""
-    return as_options(kind, "view", {one.name: values[one.name] for one in fields(kind)})
+def _build(kind: type[Options], values: dict[str, Any]) -> Options:
+    """Return an instance of `kind` from the values of its fields, whose types are checked."""
+    return as_options(kind, "view", {field.name: values[field.name] for field in fields(kind)})
 
 
 def unique_names(runs: Sequence[str]) -> list[str]:
-    """Return a short name for each run: its folder's, with a number where several have the same."""
+    """Return a short name for each run: the name of its folder, with a number where an earlier run has that name."""
     names: list[str] = []
     for run in runs:
         path = Path(run)
