@@ -23,7 +23,7 @@ from omniocc.progress import Progress
 from omniocc.report.chapters import SPREAD, parts_of, report_markdown, write_tables
 from omniocc.report.docs import NO_MATPLOTLIB
 from omniocc.report.html import render, webp
-from omniocc.report.runs import FinishedRun, colors_of, grid_kind, path_between
+from omniocc.report.runs import FinishedRun, colors_of, grid_kind, grid_of, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
@@ -31,8 +31,8 @@ from omniocc.report.tables.claims import JUDGES
 from omniocc.report.tables.names import method_names
 from omniocc.report.tables.paper import figure_of, with_error
 from omniocc.report.tables.verdicts import claim_lines
-from omniocc.runs.folder import IMAGES, PAGE, PARTS
-from omniocc.runs.results import MINUTES
+from omniocc.runs.folder import PAGE, PARTS
+from omniocc.runs.results import IMAGES, MINUTES
 from omniocc.runs.table import VOXEL_RAYIOU, markdown
 
 FRAME_NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
@@ -71,7 +71,7 @@ def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedF
     frames: dict[tuple[str, str, str], list[Shown]] = {}
     grids: dict[tuple[str, str, str], list[dict]] = {}
     for row, runs in rows.items():
-        geometry = runs[0].config.get("model", {}).get("geometry", {})
+        geometry = grid_of(runs[0].config)
         for key, parts in _parts(runs[0].folder / IMAGES):
             new = geometry not in grids.setdefault(key, [])
             grids[key].append(geometry)
