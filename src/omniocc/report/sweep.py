@@ -169,8 +169,8 @@ class Sweep(NamedTuple):
         own = list(self.rows.values())
         others = {name: runs for name, runs in self.lengths.items() if not any(runs is rows for rows in own)}
         absent = self.not_run
-        more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
-        missing = [f"Not run: {', '.join(absent[:NAMED])}{more}."] if absent else []
+        named = ", ".join(absent) if len(absent) <= NAMED else f"{len(absent)} rows of the tables"
+        missing = [f"Not run: {named}."] if absent else []
         begun = [f"Begun, not finished: {', '.join(self.unfinished)}."] if self.unfinished else []
         return [self.remark, *mixtures(dict(self.rows) | others), *missing, *begun]
 

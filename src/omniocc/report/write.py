@@ -20,7 +20,7 @@ from omniocc.draw.canvas import fitted
 from omniocc.errors import shortened
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
-from omniocc.report.chapters import SPREAD, parts_of, report_markdown, write_tables
+from omniocc.report.chapters import SPREAD, parts_with_runs, report_markdown, write_tables
 from omniocc.report.docs import NO_MATPLOTLIB
 from omniocc.report.html import render, webp
 from omniocc.report.runs import FinishedRun, colors_of, grid_kind, grid_of, path_between
@@ -123,6 +123,8 @@ def summary(sweep: Sweep) -> str:
     return "\n".join([*remarks, "", *first_lines(table, 2 + ROWS, "rows"), "", claims if verdicts else ""]).rstrip()
 
 
+FEW = 3
+"""Most rows that stand before all tables: of a newcomer, who looks for them first."""
 FILES = ("config.yaml", "metrics.json", "table.md")
 
 Section = dict[str, Any]
@@ -145,19 +147,17 @@ def page(
         for name, (title, svg) in plots.items()
     ]
     named = [table.name for table in (*sweep.tables, *sweep.datasets)]
+    filled, waiting = parts_with_runs(sweep)
+    link = partial(path_between, folder)
+    runs = [{"kind": "runs", "name": "runs", "title": "Runs", "rows": sweep.rows, "files": FILES, "link": link}]
     sections = [
+        *runs[: len(sweep.rows) <= FEW],
         *drawn[:1],
-        *({"kind": "text_table", "files": part.name in named, **part._asdict()} for part in parts_of(sweep)),
+        *({"kind": "text_table", "files": part.name in named, **part._asdict()} for part in filled),
         *drawn[1:],
         _frames(frames, sweep.runs, folder) if frames else None,
-        {
-            "kind": "runs",
-            "name": "runs",
-            "title": "Runs",
-            "rows": sweep.rows,
-            "files": FILES,
-            "link": partial(path_between, folder),
-        },
+        *runs[len(sweep.rows) <= FEW :],
+        {"kind": "waiting", "name": "waiting", "title": "Tables without a run", "parts": waiting} if waiting else None,
     ]
     content = {
         "remarks": [*sweep.remarks, SPREAD],

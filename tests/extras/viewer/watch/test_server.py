@@ -251,7 +251,9 @@ def test_files_that_have_not_changed_are_not_read_again_however_many_runs_there_
     run_states(tmp_path)
     opened = []
     read = Path.open
-    monkeypatch.setattr(Path, "open", lambda path, *options, **more: opened.append(path) or read(path, *options, **more))
+    monkeypatch.setattr(
+        Path, "open", lambda path, *options, **more: opened.append(path) or read(path, *options, **more)
+    )
     run_states(tmp_path)
     assert [path for path in opened if path.name == "config.yaml"] == []
     (tmp_path / "ours-7" / "config.yaml").write_text("stages: {occupancy: {max_steps: 7}}")
@@ -261,7 +263,7 @@ def test_files_that_have_not_changed_are_not_read_again_however_many_runs_there_
 
 def test_a_job_whose_status_is_damaged_does_not_hide_the_others(tmp_path):
     (tmp_path / "sweeps").mkdir()
-    for name, text in {"a": '{"state": "running", "title": "x", "total": "9"}', "b": "[]"}.items():
+    for name, text in {"a": '{"state": "running", "title": "x", "total": 9, "rate_hz": "fast"}', "b": "[]"}.items():
         (tmp_path / "sweeps" / f"{name}.status.json").write_text(text)
     (tmp_path / "sweeps" / "c.status.json").mkdir()
     assert [job["status"].partition(":")[0] for job in jobs(tmp_path)] == ["its status cannot be read"] * 3
