@@ -171,6 +171,7 @@ WHOLE = [(file, "") for file in FILES]
 PARTS = [(file, kind) for file in FILES if file != CURVES for kind in VALUES]
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize(("file", "kind"), WHOLE + PARTS)
 def test_a_damaged_run_is_named_and_leaves_the_others(file, kind, three, tables, tmp_path, capsys, monkeypatch):
     """Every damage has a run of its own beside two sound ones, so that one report and one list of runs tells of all."""

@@ -69,7 +69,7 @@ def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedF
     Runs that saved no parts of their sheets are left out with a message.
     """
     frames: dict[tuple[str, str, str], list[Shown]] = {}
-    grids: dict[tuple[str, str, str], list[dict]] = {}
+    grids: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row, runs in rows.items():
         geometry = grid_of(runs[0].config)
         for key, parts in _parts(runs[0].folder / IMAGES):

@@ -94,7 +94,7 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
 
 def _is_class(entry: Mapping[str, Any]) -> bool:
     name, rgb = entry.get("name"), entry.get("rgb")
-    return isinstance(name, str) and fits(rgb, tuple[int, int, int]) and all(0 <= part < 256 for part in rgb)
+    return isinstance(name, str) and isinstance(rgb, list) and len(rgb) == 3 and all(part in range(256) for part in rgb)
 
 
 def _is_figure(value: Any) -> bool:

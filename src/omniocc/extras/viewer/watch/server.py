@@ -291,7 +291,7 @@ def changed_at_s(folder: Path) -> float:
 def configured_steps(config: Mapping[str, Any], stage: str) -> int | None:
     """Return the optimiser steps that a run's configuration asks for; None if it limits epochs alone."""
     steps = (config.get("stages", {}).get(stage) or {}).get("max_steps")
-    return steps if fits(steps, int) and steps > 0 else None
+    return steps if steps is not None and fits(steps, int) and steps > 0 else None
 
 
 def time_left(folder: Path, steps: int, now_s: float) -> str:
