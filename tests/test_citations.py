@@ -32,7 +32,7 @@ FILES = [
 
 def citations(path: Path) -> list[tuple[str, str]]:
     """Return section and letter of every citation in a file."""
-    return CITATION.findall(path.read_text())
+    return CITATION.findall(path.read_text(encoding="utf-8"))
 
 
 def test_cited_sections_are_in_the_paper():

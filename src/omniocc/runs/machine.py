@@ -21,7 +21,7 @@ def machine(device: torch.device) -> str:
 
 def processor() -> str:
     """Return the name of the processor, or what Python calls it where Linux does not tell."""
-    lines = CPU_INFO.read_text().splitlines() if CPU_INFO.exists() else []
+    lines = CPU_INFO.read_text("utf-8").splitlines() if CPU_INFO.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.machine()
 
