@@ -6,7 +6,7 @@ import sys
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,8 @@ def fits(value: Any, hint: Any) -> bool:
         return isinstance(value, hint) and not isinstance(value, bool) and math.isfinite(value)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return fits(value, arguments[0]) and all(
-            part.holds(value) for part in arguments[1:] if isinstance(part, Within)
-        )
+        ranges = [part for part in arguments[1:] if isinstance(part, Within)]
+        return fits(value, arguments[0]) and all(part.holds(cast(float, value)) for part in ranges)
     if origin is Literal:
         return value in arguments
     if origin in (Union, types.UnionType):

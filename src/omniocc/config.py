@@ -120,7 +120,7 @@ ROOT: dict[str, Any] = {
     "stage": str | None,
     "checkpoint_every_n_steps": Number,
     "test_images": NumberOrNone,
-    "ema_decay": Kept | None,
+    "ema_decay": Kept | None,  # pyright: ignore[reportOperatorIssue]
     "lr_multipliers": dict[str, Weight] | None,
     "packages": list[str],
     "plan": bool,
@@ -146,10 +146,10 @@ NOT_OF_TRAINER = {
 """Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
 OF_TRAINER: dict[str, Any] = {
     "precision": Literal["32-true", "bf16-mixed", "16-mixed", "32", "bf16", "16", 32, 16],
-    "gradient_clip_val": Weight | None,
+    "gradient_clip_val": Weight | None,  # pyright: ignore[reportOperatorIssue]
     "accumulate_grad_batches": Number,
-    "log_every_n_steps": NumberOrNone | None,
-    "num_sanity_val_steps": Limit | None,
+    "log_every_n_steps": NumberOrNone | None,  # pyright: ignore[reportOperatorIssue]
+    "num_sanity_val_steps": Limit | None,  # pyright: ignore[reportOperatorIssue]
     "num_nodes": Count,
     **dict.fromkeys(("limit_train_batches", "limit_val_batches", "limit_test_batches"), Batches | None),
 }
