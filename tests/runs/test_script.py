@@ -202,11 +202,3 @@ def test_a_terminal_of_any_encoding_shows_the_results(environment, last, error, 
     assert result.stderr.decode(encoding).strip() == error
     assert "0.250" in printed
     assert "é – ü" in (folder / "table.md").read_text("utf-8")
-
-
-def test_a_terminal_without_utf8_shows_the_configuration():
-    command = [sys.executable, str(SRC / "train.py"), "--cfg", "job", "name='düne'"]
-    environment = {**os.environ, **ASCII, "PYTHONIOENCODING": "ascii"}
-    result = subprocess.run(command, env=environment, capture_output=True, check=False)
-    assert (result.returncode, result.stderr) == (0, b"")
-    assert b"name: dune" in result.stdout

@@ -13,8 +13,8 @@ from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
 from omniocc.config import check_root
 from omniocc.data import OccupancyData
-from omniocc.data.source import MadeScenes
-from omniocc.data.source.cameras import training_frames, training_rig
+from omniocc.data.source import MadeScenes, SceneSource
+from omniocc.data.source.cameras import frames_in, training_frames, training_rig
 from omniocc.errors import UserError
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
@@ -50,12 +50,12 @@ def train(cfg: DictConfig) -> None:
         announce_plan(stages_of(parts, data), training_frames(data.source), timed=True)
         return
     if isinstance(data.source, MadeScenes):
-        check_batches(stages_of(parts, data), training_frames(data.source))
+        check_frames(stages_of(parts, data), data.source)
     data.prepare_data()
     scenes = data.source.scenes("train")
     parts, without_head = without_unused_head(parts, scenes)
     stages, frames = stages_of(parts, data), sum(map(len, scenes))
-    check_batches(stages, frames)
+    check_frames(stages, data.source)
     if last and (given := given_checkpoint(cfg.resume)) is not None:
         check_resumed(given, parts.config, stages[-1].amount(frames, parts.trainer()).steps)
     for line in filter(None, (without_head, lifter, *data.remarks())):
@@ -80,13 +80,16 @@ def check_last(parts: Parts, data: OccupancyData) -> str | None:
     return line_on_lifter(build_task(parts, data.spec).model.lifter, data.geometry)
 
 
-def check_batches(stages: Sequence[Stage], frames: int) -> None:
-    """Check that there are training frames for a batch of every stage that is trained.
+def check_frames(stages: Sequence[Stage], source: SceneSource) -> None:
+    """Check that every split has frames, and training enough for a batch of every stage that is trained.
 
     Raises:
-        UserError: naming the stage.
+        UserError: naming the split or the stage.
     """
-    trainer = stages[0].parts.trainer()
+    trainer, frames = stages[0].parts.trainer(), training_frames(source)
+    for split in ("val", "test"):
+        if not frames_in(source, split):
+            raise UserError(f"the split '{split}' has no frames, but every stage is scored on it: give it scenes")
     for stage in stages:
         amount, key = stage.amount(frames, trainer), f"stages.{stage.NAME}.batch_size"
         if stage.learns and stage.recipe.max_steps and not amount.batches:
