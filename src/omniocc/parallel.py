@@ -213,7 +213,7 @@ def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
 
 def _owner(path: Path) -> str:
     try:
-        facts = json.loads(path.read_text())
+        facts = json.loads(path.read_text("utf-8"))
         return f"(pid {facts['pid']} on {facts['host']})"
     except (OSError, ValueError):  # the other process is writing it
         return "(unknown)"

@@ -1,6 +1,8 @@
 """The command line of scripts: help that is cut off, and Python 3.14, whose check older Pythons get here."""
 
 import argparse
+import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +13,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from scripts import run_script
 
+from omniocc.runs.results import save_results
 from omniocc.runs.script import accept_lazy_help, explain, nearest
 
 SRC = Path(__file__).parents[2] / "src"
@@ -156,3 +159,46 @@ def test_every_script_says_it_without_a_traceback(command, first, tmp_path):
     assert result.returncode == 1
     assert result.stderr.startswith(first)
     assert len(result.stderr.splitlines()) <= 4
+
+
+ASCII = {"PYTHONIOENCODING": "", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+"""Environment of a terminal without UTF-8."""
+SHOWN = """
+import sys
+from pathlib import Path
+from omniocc.runs.results import show_results
+from omniocc.runs.script import lines_not_tracebacks
+from omniocc.errors import UserError
+
+@lines_not_tracebacks
+def main():
+    show_results(Path(sys.argv[1]))
+    print("0.5 ± 0.1 … 3 × µ á ✅ 東")
+    raise UserError("α – β")
+
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("environment", "last", "error"),
+    [
+        ({**ASCII, "PYTHONIOENCODING": "ascii"}, "0.5 +/- 0.1 ... 3 x u a yes ?", "? - ?"),
+        ({**ASCII, "PYTHONIOENCODING": "latin-1"}, "0.5 ± 0.1 ... 3 × µ á yes ?", "? - ?"),
+        (ASCII, "0.5 +/- 0.1 ... 3 x u a yes ?", "? - ?"),
+    ],
+    ids=lambda value: value.get("PYTHONIOENCODING") or "locale" if isinstance(value, dict) else None,
+)
+def test_a_terminal_of_any_encoding_shows_the_results(environment, last, error, tmp_path):
+    folder = tmp_path / "ärger"
+    folder.mkdir()
+    save_results(folder, {"test/rayiou": 0.25, "test/rayiou/car": math.nan, "prior/rayiou": 0.125}, {"run": "é – ü"})
+    (script := tmp_path / "script.py").write_text(SHOWN, "utf-8")
+    variables = {**os.environ, "PYTHONPATH": str(SRC), **environment}
+    result = subprocess.run([sys.executable, script, folder], env=variables, capture_output=True, check=False)
+    encoding = environment["PYTHONIOENCODING"] or "ascii"
+    printed = result.stdout.decode(encoding, "replace")  # bytes of file names come out as they are
+    assert (printed.splitlines()[-1], result.returncode) == (last, 1)
+    assert result.stderr.decode(encoding).strip() == error
+    assert "0.250" in printed
+    assert "é – ü" in (folder / "table.md").read_text("utf-8")

@@ -12,6 +12,7 @@ from torch import Tensor, device
 from torch.utils.data import DataLoader, DistributedSampler
 
 from omniocc.batch import Batch, to_device
+from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
@@ -146,16 +147,16 @@ class OccupancyData(LightningDataModule):
     def __init__(
         self,
         source: SceneSource,
-        num_classes: int,
+        num_classes: Size,
         geometry: Grid,
-        window: int,
-        batch_size: int,
-        num_workers: int,
+        window: Count,
+        batch_size: Number,
+        num_workers: CountOrNone,
         seed: int,
         ignore: Ignore = "none",
-        samples_per_scene: int = 1,
+        samples_per_scene: Number = 1,
         range_edges_m: Sequence[float] | None = None,
-        ray_azimuths: int | None = None,
+        ray_azimuths: Number | None = None,
     ):
         super().__init__()
         if ray_azimuths is not None and ray_azimuths < 1:

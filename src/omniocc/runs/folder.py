@@ -162,7 +162,7 @@ def _has_gone_on_from(path: Path, given: Path) -> bool:
     started, saved = path / STARTED_FROM, path / LAST
     if not (started.is_file() and saved.is_file()):
         return False
-    same = started.read_text() == str(given.resolve())
+    same = started.read_text("utf-8") == str(given.resolve())
     return same and saved.stat().st_mtime_ns > started.stat().st_mtime_ns
 
 

@@ -1,5 +1,6 @@
 """Common parts of scripts: configuration from the command line, one-line errors, quiet libraries."""
 
+import codecs
 import functools
 import inspect
 import logging
@@ -7,10 +8,12 @@ import os
 import re
 import select
 import sys
+import unicodedata
 import warnings
 from argparse import Action, ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
+from io import TextIOWrapper
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
@@ -29,6 +32,11 @@ P = ParamSpec("P")
 T = TypeVar("T")
 OUTPUT = 1
 """File descriptor of what is printed."""
+SUBSTITUTE = "omniocc.substitute"
+"""Name of the error handler of codecs that writes other characters for those an encoding lacks."""
+SUBSTITUTES = {"–": "-", "—": "-", "±": "+/-", "×": "x", "μ": "u", "µ": "u", "°": " deg", "✓": "yes"}
+SUBSTITUTES |= {"✅": "yes", "☑": "(yes)", "❌": "no"}
+"""What is written for characters of our texts; others are decomposed (… is ...), or become a question mark."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
@@ -36,11 +44,15 @@ FULL_ERROR = "HYDRA_FULL_ERROR"
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
     """Decorate a script's main: users' mistakes end it with only the message and exit code 1.
 
-    Credentials in the configuration or command line are refused before it runs, see `refuse_credentials`.
+    Credentials in the configuration or command line are refused before it runs, see `refuse_credentials`. What it
+    prints is written to terminals of any encoding, see `substitute`.
     """
 
     @functools.wraps(main)
     def wrapped(*args: Any) -> None:
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):
+                stream.reconfigure(errors=SUBSTITUTE)
         try:
             refuse_credentials([*args, sys.argv[1:]])
             main(*args)
@@ -51,6 +63,23 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
             output_is_closed()
 
     return wrapped
+
+
+def substitute(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return what is written for characters that the encoding of a terminal or log lacks; an error handler of codecs.
+
+    A letter loses its accent. Bytes of a file name that no character stands for are written as they are.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    character = error.object[error.start]
+    if "\udc80" <= character <= "\udcff":
+        return bytes([ord(character) - 0xDC00]), error.start + 1
+    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+    return SUBSTITUTES.get(character, plain or "?"), error.start + 1
+
+
+codecs.register_error(SUBSTITUTE, substitute)
 
 
 def output_is_closed() -> bool:

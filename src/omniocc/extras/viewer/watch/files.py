@@ -78,7 +78,7 @@ def held_locks(table: Path = LOCKS) -> frozenset[Identity]:
     To take the lock instead could make a run that starts just then fail. Elsewhere the result is empty.
     """
     try:
-        words = table.read_text().split()
+        words = table.read_text("utf-8").split()
     except OSError:
         return frozenset()
     parts = [word.split(":") for word in words if word.count(":") == 2]
