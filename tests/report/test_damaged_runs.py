@@ -147,7 +147,11 @@ def put(tree: Any, path: tuple, value: Any) -> None:
 
 
 def read(path: Path) -> Any:
-    return yaml.safe_load(path.read_text()) if path.suffix == ".yaml" else json.loads(path.read_text())
+    return (
+        yaml.safe_load(path.read_text(encoding="utf-8"))
+        if path.suffix == ".yaml"
+        else json.loads(path.read_text(encoding="utf-8"))
+    )
 
 
 def damage(folder: Path, file: str, kind: str, place: tuple) -> bool:
