@@ -147,12 +147,12 @@ def until_lost(method: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(method)
-    def guarded(self: "WandbCurves", *args: Any) -> Any:
+    def guarded(self: "WandbCurves", *args: Any, **kwargs: Any) -> Any:
         if WandbCurves.lost:
             return None
         try:
             self.begin()
-            return method(self, *args)
+            return method(self, *args, **kwargs)
         except Exception as error:
             if not (isinstance(error, OSError) or type(error).__module__.partition(".")[0] == "wandb"):
                 raise
