@@ -229,7 +229,9 @@ class WandbCurves(WandbLogger):
         for handler in [one for one in logs.handlers if isinstance(one, logging.FileHandler)]:
             logs.removeHandler(handler)  # on the full disk
         for end in [run.finish, wandb.teardown] if run is not None else [wandb.teardown]:
-            with suppress(Exception, SystemExit):  # it has failed already; this takes back its hooks in the output
+            with suppress(
+                Exception, SystemExit
+            ):  # what still works is ended; else Python's end would show W&B's traceback
                 end()
         print(
             f"W&B is left out from here on ({first_line(error)}); curves and figures are written as before, without "
