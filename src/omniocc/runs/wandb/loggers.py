@@ -211,6 +211,7 @@ class WandbCurves(WandbLogger):
             from wandb.sdk.artifacts.staging import get_staging_dir
 
             get_staging_dir()
+            logging.raiseExceptions = False  # W&B's log would print a traceback for each line that a full disk refuses
             _ = super().experiment
 
     @property
@@ -225,9 +226,6 @@ class WandbCurves(WandbLogger):
 
         WandbCurves.lost = True
         run, self._experiment = self._experiment, None
-        logs = logging.getLogger("wandb")
-        for handler in [one for one in logs.handlers if isinstance(one, logging.FileHandler)]:
-            logs.removeHandler(handler)  # on the full disk
         for end in [run.finish, wandb.teardown] if run is not None else [wandb.teardown]:
             with suppress(
                 Exception, SystemExit
