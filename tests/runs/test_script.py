@@ -210,6 +210,7 @@ def reader(folder: Path, dies: bool) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow(15)
 def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     output, errors = (process := reader(tmp_path, dies=True)).communicate(timeout=120)
     assert (process.returncode, output) == (1, "")
@@ -217,6 +218,7 @@ def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     assert len(errors.splitlines()) == 1
 
 
+@pytest.mark.slow(15)
 def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     """A terminal sends it to the whole group, also to the processes that read."""
     process = reader(tmp_path, dies=False)
