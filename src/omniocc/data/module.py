@@ -21,12 +21,14 @@ from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, 
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.parallel import limit_threads
+from omniocc.parallel import limit_threads, start_fork_server
 from rayiou.directions import rays_around
 
 
 def worker_options(num_workers: int) -> dict[str, Any]:
     """Return the arguments of a `DataLoader` for its processes, each with one thread; 0 reads in this process."""
+    if num_workers:
+        start_fork_server()
     return {
         "num_workers": num_workers,
         "worker_init_fn": limit_threads,
