@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, UserError, first_line, repr_of
+from omniocc.errors import ANY_FOLDER, DataError, UserError, first_line, repr_of
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -44,9 +44,10 @@ _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
     errno.EFBIG: "files may not grow that large here: raise the limit (ulimit -f)",
     errno.EDQUOT: "the disk quota is used up: free some space",
-    errno.EROFS: "the folder is read-only: choose another one (paths.data=... or paths.runs=...)",
-    errno.EACCES: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
-    errno.EPERM: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
+    errno.EROFS: f"the folder is read-only: choose another one ({ANY_FOLDER})",
+    errno.EACCES: f"the folder may not be written to: choose another one ({ANY_FOLDER})",
+    errno.EPERM: f"the folder may not be written to: choose another one ({ANY_FOLDER})",
+    errno.ENOLCK: f"its file system has no locks (flock): choose a folder on another one ({ANY_FOLDER})",
     errno.EMFILE: "too many open files: raise the limit (ulimit -n)",
 }
 
