@@ -8,7 +8,6 @@ import math
 import os
 import re
 import secrets
-import shutil
 import stat
 import sys
 from collections.abc import Hashable, Iterable, Iterator
@@ -166,13 +165,16 @@ _KINDS = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "pipe"), (stat.S_ISCHR, "dev
 def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
     """Return the error to raise when writing to a file or folder failed; complete files stay valid.
 
-    The size of the file, if known, is named with the free space when the disk is full.
+    When the disk is full, the size of the file, if known, is named with the free space, unless it has no inode left.
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
-    if error.errno == errno.ENOSPC and needed_bytes is not None:
-        folder = next(parent for parent in path.absolute().parents if parent.exists())
-        free_bytes = shutil.disk_usage(folder).free
-        reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
+    if error.errno == errno.ENOSPC:
+        disk = os.statvfs(next(parent for parent in path.absolute().parents if parent.exists()))
+        free_bytes = disk.f_frsize * disk.f_bavail
+        if disk.f_files and not disk.f_favail:
+            reason = "the disk takes no more files: remove some"
+        elif needed_bytes is not None:
+            reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
     remedy = ", then run the same command again; it continues where it stopped" if error.errno in _REMEDIES else ""
     return DataError(f"cannot write {path}: {reason}{remedy}")
 

@@ -55,7 +55,9 @@ class Loader(DataLoader):
         """Return an iterator over batches; processes begin to read now."""
         if not self.num_workers:
             return super().__iter__()
-        try:
+        context = self.multiprocessing_context
+        try:  # what the loader makes, since it cannot clean up when it fails half-way
+            _ = [context.Event(), *(context.Queue() for _ in range(self.num_workers + 1))]
             return self._read(super().__iter__())
         except OSError as error:  # of the semaphores, which lie in /dev/shm as well
             reason = f"loader processes cannot start, perhaps since /dev/shm is full ({error.strerror or error})"
