@@ -1,6 +1,7 @@
 """The command line of scripts: help that is cut off, and Python 3.14, whose check older Pythons get here."""
 
 import argparse
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from scripts import run_script
 
-from omniocc.runs.script import accept_lazy_help, explain, nearest
+from omniocc.runs.script import accept_lazy_help, explain, line_of, nearest
 
 SRC = Path(__file__).parents[2] / "src"
 
@@ -156,3 +157,10 @@ def test_every_script_says_it_without_a_traceback(command, first, tmp_path):
     assert result.returncode == 1
     assert result.stderr.startswith(first)
     assert len(result.stderr.splitlines()) <= 4
+
+
+def test_a_disk_that_a_library_finds_full_or_read_only_has_a_remedy(tmp_path):
+    full = OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "csv"))
+    assert line_of(full).startswith(f"cannot write {tmp_path / 'csv'}: the disk is full: free some space, then")
+    missing = FileNotFoundError(errno.ENOENT, "No such file", "csv")
+    assert line_of(missing) == str(missing)

@@ -11,6 +11,7 @@ import warnings
 from argparse import Action, ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
+from errno import EDQUOT, ENOSPC, EROFS
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
@@ -23,6 +24,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
 from omniocc.errors import UserError
+from omniocc.io import cannot_write
 from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
@@ -46,11 +48,17 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
             main(*args)
         except (UserError, OSError) as error:
             if not (isinstance(error, BrokenPipeError) and output_is_closed()):
-                sys.exit(str(error))
+                sys.exit(line_of(error))
         finally:
             output_is_closed()
 
     return wrapped
+
+
+def line_of(error: UserError | OSError) -> str:
+    """Return an error's message, with the remedy where a library finds a disk full or read-only."""
+    refused = isinstance(error, OSError) and error.errno in (ENOSPC, EROFS, EDQUOT) and error.filename is not None
+    return str(cannot_write(Path(error.filename), error) if refused else error)
 
 
 def output_is_closed() -> bool:
