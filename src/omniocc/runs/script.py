@@ -57,8 +57,9 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
 
 def line_of(error: UserError | OSError) -> str:
     """Return an error's message, with the remedy where a library finds a disk full or read-only."""
-    refused = isinstance(error, OSError) and error.errno in (ENOSPC, EROFS, EDQUOT) and error.filename is not None
-    return str(cannot_write(Path(error.filename), error) if refused else error)
+    if isinstance(error, OSError) and error.errno in (ENOSPC, EROFS, EDQUOT) and error.filename is not None:
+        return str(cannot_write(Path(error.filename), error))
+    return str(error)
 
 
 def output_is_closed() -> bool:
