@@ -55,7 +55,7 @@ class Loader(DataLoader):
         """Return an iterator over batches; processes begin to read now."""
         if not self.num_workers:
             return super().__iter__()
-        context = self.multiprocessing_context
+        context: Any = self.multiprocessing_context
         try:  # what the loader makes, since it cannot clean up when it fails half-way
             _ = [context.Event(), *(context.Queue() for _ in range(self.num_workers + 1))]
             return self._read(super().__iter__())
