@@ -1,5 +1,8 @@
 """Errors that scripts report by their message alone."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 LONGEST = 1000
 """Characters of a text that a message shows: a value may have a thousand lines."""
 LONGEST_OF_FILES = 200
@@ -14,6 +17,21 @@ class UserError(ValueError):
 
 class DataError(OSError):
     """Recorded data is missing, damaged or cannot be written. The message names the path and the remedy."""
+
+
+ANY_FOLDER = "paths.data=... or paths.runs=..."
+"""The keys that an error names for a folder that cannot be written, unless `moved_by` knows the one that helps."""
+
+
+@contextmanager
+def moved_by(key: str) -> Iterator[None]:
+    """Name the key that moves the folder to which this block writes in errors about it; the innermost block counts."""
+    try:
+        yield
+    except DataError as error:
+        if ANY_FOLDER not in str(error):
+            raise
+        raise DataError(str(error).replace(ANY_FOLDER, f"{key}=...")) from error
 
 
 def installing(extra: str) -> str:

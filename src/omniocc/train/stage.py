@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from omniocc.camera import Rig
 from omniocc.data import Needs, OccupancyData
 from omniocc.data.source.cameras import first_rig
+from omniocc.errors import moved_by
 from omniocc.io import atomic_write
 from omniocc.parts import Parts
 from omniocc.runs.checkpoint import load_checkpoint
@@ -133,6 +134,7 @@ class Stage(ABC):
             recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, trainer.accumulate_grad_batches
         )
 
+    @moved_by("paths.runs")
     def run(self, title: str) -> dict[str, float]:
         """Train and test unless that is done, predict what later stages read, and return the figures."""
         with self.lock(title) as place:
