@@ -160,6 +160,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
         ("    focal_px: 12.0\n", "", "focal_px is missing"),
         ("focal_px: 12.0", "focal_px: twelve", "focal_px is 'twelve'"),
         ("max_angle_deg", "max_angel_deg", "max_angle_deg is missing"),
+        ("    width: 40\n    height: 20\n", "", "width, height are missing; keys: model, width, .*, mask .optional"),
         ("max_angle_deg: 95", "max_angle_deg: 95\n    k1: 3", "unknown key k1"),
         ("yaw_deg", "yaw", "ego_from_camera.yaw_deg is missing"),
         (POSE, "[[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "not rigid"),
