@@ -348,7 +348,9 @@ def test_matrices_may_be_nested_lists(load):
     rows = "camera_matrix: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]\ndist_coeffs: [[0.1], [0], [0], [0]]\n"
     (camera,) = load(rows + "resolution: [64, 48]").cameras
     assert camera == KannalaBrandt(64, 48, (40.0, 40.0), (32.0, 24.0), (0.1, 0.0, 0.0, 0.0), 180.0)
-    matrix = "camera_matrix: {rows: 3, cols: 3, data: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]}\ndist_coeffs: [[.1,0,0,0]]"
+    matrix = (
+        "camera_matrix: {rows: 3, cols: 3, data: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]}\ndist_coeffs: [[.1,0,0,0]]"
+    )
     assert load(f"{matrix}\nresolution: [64, 48]").cameras == (camera,)
     with pytest.raises(ValueError, match=r"camera_matrix is .*its rows differ in length"):
         load(rows.replace("[0, 0, 1]", "[0, 0]") + "resolution: [64, 48]")

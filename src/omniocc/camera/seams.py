@@ -1,14 +1,15 @@
 """Whether images fit together where neighbouring cameras see the same, and whether they would in another order."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
-from torch.nn.functional import grid_sample, interpolate
+from torch.nn.functional import grid_sample
 
 from omniocc.camera.models.equirectangular import Equirectangular
 from omniocc.camera.ops.pixels import normalize_pixels
@@ -18,8 +19,8 @@ DIRECTIONS = Equirectangular(240, 80, 45.0, -75.0)
 """Directions around the ego origin in which images are compared, 1.5 degrees apart."""
 RANGES_M = (2.0, 4.0, 8.0, 16.0, 64.0)
 """Ranges at which a thing may lie."""
-SIZE_PX = (144, 192)
-"""Height and width to which images are reduced: about as many pixels to a degree as `DIRECTIONS`."""
+SIZE_PX = (192, 144)
+"""Width and height to which images are reduced: about as many pixels to a degree as `DIRECTIONS`."""
 BLOCK_PX = 8
 """Edge of the square blocks of directions that are compared."""
 NOISE = 0.01
@@ -29,8 +30,9 @@ LEAST_BLOCKS = 10
 MOST_CAMERAS = 8
 """Most cameras of which the orders are compared: there are 40,320 of eight."""
 EVIDENCE = 0.8
-"""Least gain in mean correlation, times the square root of the number of blocks. Correct orders of 60 virtual scenes
-reach 0.54 by chance."""
+"""Least gain in mean correlation, times the square root of the number of blocks.
+
+Other orders than the correct one reach 0.54 by chance (60 virtual scenes)."""
 ALIKE = 0.8
 """Fraction of the best order's gain from which another order counts as equally good."""
 
@@ -53,18 +55,26 @@ class Seams(NamedTuple):
 def better_order(images: Images, rig: Rig) -> tuple[int, ...] | None:
     """Return the number of the image that each camera should have; None if the given order fits, or it is not clear.
 
-    Images change places only where their sizes are equal. Of orders that fit equally well, as in a ring of equal
-    cameras whose images all move on by one, the one with the fewest changes is returned.
+    Images change places only where their sizes are equal.
     """
-    if len(images) > MOST_CAMERAS or not (seams := measure_seams(images, rig)):
+    if len(images) > MOST_CAMERAS:
         return None
-    shapes = [image.shape for image in images]
-    orders = np.array([order for order in permutations(range(len(images))) if [shapes[k] for k in order] == shapes])
-    total = sum(seam.blocks for seam in seams.values())
-    fits = sum(
-        seam.blocks / total * seam.fits[orders[:, one], orders[:, other]] for (one, other), seam in seams.items()
-    )
-    gains = np.asarray(fits) - np.asarray(fits)[0]  # the first order is the given one
+    return best_order(measure_seams(images, rig), [image.shape for image in images])
+
+
+def best_order(seams: Mapping[tuple[int, int], Seams], kinds: Sequence[Hashable]) -> tuple[int, ...] | None:
+    """Return the same, given what was measured and the kind of each image; those of a kind change places.
+
+    Of orders that fit equally well, as in a ring of equal cameras whose images all move on by one, the one with the
+    fewest changes is returned.
+    """
+    if not seams:
+        return None
+    orders = np.array([order for order in permutations(range(len(kinds))) if [kinds[k] for k in order] == list(kinds)])
+    total, fits = sum(seam.blocks for seam in seams.values()), np.zeros(len(orders))
+    for (one, other), seam in seams.items():
+        fits += seam.blocks / total * seam.fits[orders[:, one], orders[:, other]]
+    gains = fits - fits[0]  # the first order is the given one
     if gains.max() * total**0.5 < EVIDENCE:
         return None
     alike = np.flatnonzero(gains > ALIKE * gains.max())
@@ -78,7 +88,8 @@ def measure_seams(images: Images, rig: Rig) -> dict[tuple[int, int], Seams]:
     Each block is compared at all of `RANGES_M`, and the highest correlation counts.
     """
     points = torch.tensor(RANGES_M)[:, None, None, None] * DIRECTIONS.rays()
-    pixels = torch.cat([_reduced(image) for image in images])
+    reduced = [cv2.resize(image, SIZE_PX, interpolation=cv2.INTER_AREA) for image in images]
+    pixels = torch.from_numpy(np.stack(reduced)).permute(0, 3, 1, 2).float() / 255
     views = [_blocks(pixels, rig, camera, points) for camera in range(len(images))]
     found = {}
     for (one, (left, seen)), (other, (right, seen_too)) in combinations(enumerate(views), 2):
@@ -91,15 +102,10 @@ def measure_seams(images: Images, rig: Rig) -> dict[tuple[int, int], Seams]:
     return found
 
 
-def _reduced(image: UInt8[np.ndarray, "_ _ 3"]) -> Float32[Tensor, "1 3 h w"]:
-    values = torch.from_numpy(image).permute(2, 0, 1).unsqueeze(0).float() / 255
-    return interpolate(values, SIZE_PX, mode="area")
-
-
 def _blocks(
     pixels: Float32[Tensor, "N 3 h w"], rig: Rig, camera: int, points: Float32[Tensor, "S rows columns 3"]
 ) -> tuple[Float32[Tensor, "N S B K"], Bool[Tensor, "S B"]]:
-    """Return what one camera sees in every block if it had each image, with mean 0 and length 1, and what it sees whole.
+    """Return the blocks that one camera sees if it has each image, with mean 0 and length 1, and which it sees whole.
 
     S are the ranges, B the blocks, K the values of a block.
     """

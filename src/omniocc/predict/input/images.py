@@ -177,7 +177,9 @@ def swapped_images(frame: FrameFiles, rig: Rig) -> str:
     if None in frame.files or (order := better_order(read_frame(frame, rig), rig)) is None:
         return ""
     moved = [
-        f"{name}={frame.files[image]}" for k, (name, image) in enumerate(zip(rig.names, order, strict=True)) if k != image
+        f"{name}={frame.files[image]}"
+        for k, (name, image) in enumerate(zip(rig.names, order, strict=True))
+        if k != image
     ]
     return f"images    where two cameras see the same, the images fit better as {', '.join(moved)}; are they swapped?"
 
