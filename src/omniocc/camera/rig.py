@@ -333,10 +333,10 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
 
 
 def _check_keys(entry: dict[str, Any], required: list[str], optional: list[str], prefix: str = "") -> None:
-    for key in required:
-        if key not in entry:
-            raise ValueError(f"{prefix}{key} is missing")
     known = required + optional
+    if missing := [f"{prefix}{key}" for key in required if key not in entry]:
+        needed = ", ".join(required) + "".join(f", {key} (optional)" for key in optional)
+        raise ValueError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; keys: {needed}")
     for key in entry:
         if key not in known:
             raise ValueError(f"unknown key {prefix}{key}{_did_you_mean(str(key), known)}; keys: {', '.join(known)}")

@@ -73,10 +73,7 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
     key = next(key for key in keys if key in entry)
     if isinstance(value, dict):
         value = _matrix_data(key, value)
-    elif isinstance(value, list) and value and all(isinstance(line, list) for line in value):
-        if len({len(line) for line in value}) > 1:
-            raise ValueError(f"{key} is {repr_of(value)}; its rows differ in length; is the file whole?")
-        value = [item for line in value for item in line]
+    value = _flat(key, value)
     if not isinstance(value, list) or (count is not None and len(value) != count):
         raise ValueError(f"{key} is {repr_of(value)}; it must be {count or 'a list of'} numbers; is the file whole?")
     return [_number(key, item) for item in value]
@@ -149,8 +146,17 @@ def _whole(key: str, value: Any) -> int:
     return int(result)
 
 
+def _flat(key: str, value: Any) -> Any:
+    """Return the items of a list of rows; anything else as it is; raise ValueError if the rows differ in length."""
+    if not isinstance(value, list) or not value or not all(isinstance(line, list) for line in value):
+        return value
+    if len({len(line) for line in value}) > 1:
+        raise ValueError(f"{key} is {repr_of(value)}; its rows differ in length; is the file whole?")
+    return [item for line in value for item in line]
+
+
 def _matrix_data(key: str, value: dict[str, Any]) -> list[Any]:
-    data = required(value, "data")
+    data = _flat(key, required(value, "data"))
     count = whole(value, "rows") * whole(value, "cols")
     if not isinstance(data, list) or len(data) != count:
         held = len(data) if isinstance(data, list) else repr(data)
