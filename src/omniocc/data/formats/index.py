@@ -13,7 +13,7 @@ import numpy as np
 from filelock import FileLock
 
 from omniocc.data.formats.arrays import npz_arrays
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.io import atomic_write, cannot_write, checked_name
 
 NAMES = "scenes.json"
@@ -73,8 +73,9 @@ class Index(Generic[Arrays]):
     @cached_property
     def _listed(self) -> list[list[str]]:
         try:
-            return json.loads((self.folder / NAMES).read_text())
-        except (OSError, ValueError) as error:
+            listed = json.loads((self.folder / NAMES).read_text())
+            return [[checked_name("the name of a scene", name), str(sums)] for name, sums in listed]
+        except (OSError, *FAULTS) as error:
             raise DataError(f"{self.folder / NAMES}: the index cannot be read ({error}); remove the folder") from error
 
     def _write(self) -> None:

@@ -21,7 +21,7 @@ from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import check_root, load_npy, map_classes, read_image, read_npy, read_text, scaled_size
 from omniocc.data.source import SPLITS, Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, mirrored, standing
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.geometry import Cuboid
 from omniocc.io import parse_json, twice
 
@@ -152,7 +152,7 @@ class H3O(OwnGridSource["H3OScene"]):
         try:
             content = parse_json(read_text(self.file, "give H3O's own folder in data.source.root"))
             listed = {str(name): [str(folder) for folder in folders] for name, folders in content.items()}
-        except (AttributeError, TypeError, ValueError) as error:
+        except FAULTS as error:
             raise DataError(f"{self.file}: it must hold lists of folders by split ({error})") from error
         missing = sorted(set(self.splits.values()) - set(listed))
         if missing:
