@@ -244,7 +244,7 @@ def read_range(path: Path) -> Float32[np.ndarray, "h w"]:
         DataError: if the file is missing, damaged or no image of depth.
     """
     depth_m = load_npy(path)
-    if depth_m.ndim != 2 or depth_m.dtype.kind != "f":
+    if depth_m.ndim != 2 or not depth_m.size or depth_m.dtype.kind != "f":
         raise DataError(f"{path}: an array of {depth_m.dtype} and shape {depth_m.shape} is no image of depth in metres")
     return range_of_cube_depth(depth_m.astype(np.float32))
 
