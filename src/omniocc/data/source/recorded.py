@@ -189,8 +189,13 @@ def split_scenes(splits: Splits, available: Sequence[str], root: str) -> dict[Sp
         raise DataError(f"data.source.splits has {found}; it needs exactly {', '.join(SPLITS)}")
     fractions = {split: value for split, value in splits.items() if is_finite(value)}
     for split, value in splits.items():
-        listed = isinstance(value, Sequence) and not isinstance(value, str)
-        if split not in fractions and not (listed and all(isinstance(part, str) for part in value)):
+        if is_finite(value):
+            continue
+        if (
+            not isinstance(value, Sequence)
+            or isinstance(value, str)
+            or not all(isinstance(part, str) for part in value)
+        ):
             raise DataError(
                 f"data.source.splits.{split} is {repr_of(value)}; give a list of names or patterns, or a fraction"
             )
