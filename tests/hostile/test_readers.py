@@ -206,7 +206,7 @@ def splits_damages(folder: Path) -> Damages:
 
 
 SCENE_DAMAGES: dict[str, tuple[Callable[[Path], Damages], tuple[str, ...], int]] = {
-    "meta": (meta_damages, (META, "rig."), 150),
+    "meta": (meta_damages, (META, INDEX, SHARD, "rig."), 150),
     "index": (index_damages, (INDEX, SHARD), 100),
     "frame": (frame_damages, (SHARD,), 60),
     "members": (member_damages, (SHARD,), 60),
