@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
-from omniocc.errors import DataError, repr_of, shortened
+from omniocc.errors import FAULTS, DataError, reason_of, repr_of, shortened
 from omniocc.images import read_mask
 from omniocc.io import number_of
 
@@ -31,11 +31,14 @@ class Calibration(NamedTuple):
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Put the name of a file or camera in front of the message of a ValueError that is raised in the block."""
+    """Raise ValueError that begins with the name of a file or camera for what its content causes in the block."""
     try:
         yield
-    except ValueError as error:
-        raise ValueError(f"{place}: {shortened(str(error))}") from error
+    except DataError:
+        raise
+    except (OSError, *FAULTS) as error:
+        reason = str(error) if isinstance(error, ValueError) else reason_of(error)
+        raise ValueError(f"{place}: {shortened(reason)}") from error
 
 
 def mapping(value: Any, what: str) -> dict[Any, Any]:

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from omniocc.data.formats.arrays import npz_arrays
-from omniocc.errors import DataError, moved_by
+from omniocc.errors import FAULTS, DataError, moved_by
 from omniocc.io import atomic_write, cannot_write, checked_name
 from omniocc.lock import locked
 
@@ -69,8 +69,9 @@ class Index(Generic[Arrays]):
     @cached_property
     def _listed(self) -> list[list[str]]:
         try:
-            return json.loads((self.folder / NAMES).read_text("utf-8"))
-        except (OSError, ValueError) as error:
+            listed = json.loads((self.folder / NAMES).read_text("utf-8"))
+            return [[checked_name("the name of a scene", name), str(sums)] for name, sums in listed]
+        except (OSError, *FAULTS) as error:
             raise DataError(f"{self.folder / NAMES}: the index cannot be read ({error}); remove the folder") from error
 
     def _write(self) -> None:
