@@ -264,15 +264,27 @@ def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     assert len(errors.splitlines()) == 1
 
 
-@pytest.mark.slow(15)
-def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
-    """A terminal sends it to the whole group, also to the processes that read."""
-    process = reader(tmp_path, dies=False)
-    deadline_s = time.monotonic() + 120
-    while not (tmp_path / "4.read").exists():
+def started_reader(folder: Path) -> subprocess.Popen[str]:
+    """Start a reader and return when its processes have read some samples."""
+    process, deadline_s = reader(folder, dies=False), time.monotonic() + 120
+    while not (folder / "4.read").exists():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
+    return process
+
+
+@pytest.mark.slow(15)
+def test_processes_that_read_end_with_a_training_that_is_killed(tmp_path):
+    process = started_reader(tmp_path)
+    process.kill()
+    process.communicate(timeout=60)  # returns when no process has the other ends of the pipes
+
+
+@pytest.mark.slow(15)
+def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
+    """A terminal sends it to the whole group, also to the processes that read."""
+    process = started_reader(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
     assert process.communicate(timeout=60) == ("", "stopped by Ctrl-C\n")
     assert process.returncode == 130

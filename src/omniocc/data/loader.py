@@ -3,9 +3,12 @@
 import os
 import pickle
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache, partial
 from io import BytesIO
 from multiprocessing.queues import Queue
+from select import select
+from threading import Thread
 from typing import Any
 
 import torch
@@ -44,7 +47,7 @@ class Loader(DataLoader):
             batch_size,
             num_workers=num_workers,
             collate_fn=partial(_collated, collate) if num_workers else collate,
-            worker_init_fn=_start_worker,
+            worker_init_fn=partial(_start_worker, os.getpid()),
             # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
             multiprocessing_context="forkserver" if num_workers else None,
             pin_memory=torch.cuda.is_available(),  # copies to the GPU run beside its work
@@ -128,12 +131,20 @@ def _tell_once(num_workers: int, reason: str) -> None:
     )
 
 
-def _start_worker(_worker: int) -> None:
+def _start_worker(trainer: int, _worker: int) -> None:
     limit_threads()
+    Thread(target=_end_with, args=(trainer,), daemon=True).start()
     Queue._on_queue_feeder_error = staticmethod(_end)  # type: ignore[attr-defined]  # it would drop the batch
 
 
 def _end(error: BaseException, _batch: Any) -> None:
     """End a loader process that cannot hand on a batch; the training process then raises an error."""
     print(f"a loader process cannot hand on what it has read: {first_line(error)}", flush=True)
+    os._exit(1)
+
+
+def _end_with(process: int) -> None:
+    """End this process when another one ends; PyTorch asks for the parent only, which is the fork server."""
+    with suppress(ProcessLookupError):  # it has ended already
+        select([os.pidfd_open(process)], [], [])
     os._exit(1)
