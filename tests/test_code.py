@@ -116,5 +116,5 @@ def test_the_arguments_that_a_docstring_lists_exist():
             names = re.findall(r"^    (\w+): ", re.split(r"\n\S|\n\n", text.split("Args:\n")[1])[0], re.MULTILINE)
             listed += len(names)
             wrong += [(path.name, node.name, name) for name in names if name not in arguments(node)]
-    assert listed > 1000
+    assert listed > 500
     assert wrong == []
