@@ -4,6 +4,7 @@ import functools
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -38,6 +39,7 @@ def create_there(self: Trainer, *args: Any, **options: Any) -> None:
 if __name__ == "__main__":
     Trainer.__init__ = create_there  # type: ignore[method-assign]
     torch.cuda.get_device_name = lambda device=None: "simulated second device"
+    torch.cuda.get_device_properties = lambda device=None: SimpleNamespace(total_memory=2**37)
     sys.argv[0] = str(SCRIPT)
     with SecondDevice():
         runpy.run_path(sys.argv[0], run_name="__main__")
