@@ -1,5 +1,8 @@
 """Camera-based 3D semantic occupancy for vehicles with fisheye cameras."""
 
+import sys
+from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,3 +18,19 @@ def __getattr__(name: str) -> Any:
     from omniocc.predict.trained import load
 
     return load
+
+
+def _end_in_a_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Show Ctrl-C as a line, other errors as Python does."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("stopped by Ctrl-C", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+# The scripts beside this package import all that is large for seconds, before their main shows Ctrl-C itself.
+if (
+    Path(getattr(sys.modules["__main__"], "__file__", None) or "-").resolve().parent
+    == Path(__file__).resolve().parents[1]
+):
+    sys.excepthook = _end_in_a_line

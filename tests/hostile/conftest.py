@@ -34,7 +34,7 @@ def base(shared_folder, smoke, spec) -> Path:
     with FileLock(f"{folder}.lock"):
         if (folder / "ready").exists():
             return folder
-        for number, name in enumerate(SCENES):
+        for number, name in enumerate((*SCENES, "test-002-far")):
             write_scene(folder / "scenes" / name, spec, 10 * number)
         export_scene(folder / "scenes" / SCENES[0], folder / "sequence")
         shutil.copytree(folder / "sequence" / "000000", folder / "frame")

@@ -55,7 +55,7 @@ def commands(box: Box, path: Path) -> dict[str, tuple[str, ...]]:
     data = (
         "data=recorded",
         f"data.source.root={base / 'scenes'}",
-        "data.source.splits={train:[test-*],val:[],test:[]}",
+        "data.source.splits={train:[test-000-*],val:[test-001-*],test:[test-002-*]}",
     )
     paths = (f"paths.runs={box.out / 'runs'}", f"paths.data={box.out / 'data'}", f"data.source.cache={box.out / 'c'}")
     train = ("train.py", "preset=smoke", *data, *paths, "logger.mode=disabled")

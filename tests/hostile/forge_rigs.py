@@ -87,7 +87,7 @@ def openings(box: Box, path: Path, expect: str = "refused", check: Callable | No
     found = [Opening(("mask.py", f"rig={path}", f"car={box.given / 'car.obj'}", f"{out}.yaml"), expect, names, check)]
     if expect == "refused":
         data = ("data=recorded", f"data.source.root={base / 'scenes'}", f"data.source.cache={box.out / 'cache'}")
-        splits = "data.source.splits={train:[test-*],val:[],test:[]}"
+        splits = "data.source.splits={train:[test-000-*],val:[test-001-*],test:[test-002-*]}"
         log = ("recorder=files", "recorder.name=train-000-x", f"recorder.log={base / 'log'}", f"recorder.rig={path}")
         commands = [
             ("predict.py", "depth", f"rig={path}", images, out, "checkpoint=sweep", "preset=smoke"),

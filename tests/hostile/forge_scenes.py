@@ -32,7 +32,7 @@ def openings(box: Box, names: tuple[str, ...], expect: str, seed: float) -> list
     """Return the check of all frames, and some of the commands that read scenes."""
     root, base = box.given / "scenes", box.base
     data = f"data.source.root={root}"
-    splits = "data.source.splits={train:[test-*],val:[],test:[]}"
+    splits = "data.source.splits={train:[test-000-*],val:[test-001-*],test:[test-002-*]}"
     own = ("data=recorded", data, splits, f"data.source.cache={box.out / 'cache'}", "preset=smoke")
     checkpoint, out = str(base / "run" / "best.ckpt"), f"output={box.out / 'result'}"
     others = [

@@ -293,6 +293,24 @@ def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     assert process.returncode == 130
 
 
+def test_ctrl_c_while_a_script_imports_is_a_line(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", str(SRC / "view.py")],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.split()[-1] == "omniocc":
+            process.send_signal(signal.SIGINT)
+            break
+    errors = [line for line in process.stderr.read().splitlines() if not line.startswith("import time:")]
+    assert errors == ["stopped by Ctrl-C"]
+    assert process.wait(timeout=60) == -signal.SIGINT
+
+
 def test_ctrl_c_says_what_the_same_command_does(capsys):
     def interrupted():
         raise KeyboardInterrupt

@@ -83,6 +83,12 @@ class StepProgress(ProgressBar):
         text = " ".join(f"{key}={float(values[key]):.3f}" for key in ("train/loss", "val/rayiou") if key in values)
         self._show(trainer.global_step, text)
 
+    def on_validation_batch_end(  # noqa: D102
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int, *_: Any
+    ) -> None:
+        if in_training(trainer):
+            self._show(trainer.global_step, f"validation {batch_idx + 1}/{int(sum(trainer.num_val_batches))}")
+
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
         self._stop()
 
