@@ -60,7 +60,7 @@ def test_the_origin_is_put_as_high_above_the_road_as_in_training():
     assert "stays around the origin of the rig" in line
     unknown = replace(low, road_z_m=None)
     assert (
-        "its height is not known (road_z_m in the rig file)" in trained_with("data.source.rig=random").place(unknown)[2]
+        "its height is not known: write road_z_m into the rig file" in trained_with("data.source.rig=random").place(unknown)[2]
     )
     kept, height_m, line = own.place(unknown)
     assert (kept, height_m) == (unknown, 0.0)

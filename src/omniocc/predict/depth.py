@@ -16,6 +16,7 @@ from omniocc.draw import predicted_sheet
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, remarks, resized_to_width
+from omniocc.predict.input.sequence import with_road
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.range_files import point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
@@ -37,7 +38,7 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
     require(cfg, ("rig", "images"), "predict.py depth")
-    rig = load_rig(cfg.rig)
+    rig = with_road(load_rig(cfg.rig), cfg.road_z_m)
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
     frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
     for line in remarks(frames, rig):

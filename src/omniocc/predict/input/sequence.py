@@ -158,8 +158,8 @@ def with_road(rig: Rig, road_z_m: float | None) -> Rig:
     """
     try:
         return rig if road_z_m is None else replace(rig, road_z_m=road_z_m)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    except (ValueError, TypeError) as error:
+        raise UserError(f"road_z_m={road_z_m}: it must be a height below 0, m, such as -0.9") from error
 
 
 def raise_rig(rig: Rig, height_m: float) -> Rig:
