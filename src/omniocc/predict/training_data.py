@@ -9,7 +9,6 @@ from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
 from omniocc.data.source import Ignore
 from omniocc.data.source.cameras import training_rig
-from omniocc.predict.input.sequence import raise_rig
 
 UNMOVED_M = 0.0005
 """Distance that an origin may move without a word."""
@@ -93,4 +92,4 @@ class TrainingData:
                 f"{-here_m:g} m below the origin of the rig (its road_z_m), {-there_m:g} m in the training: the grid "
             )
             line += f"lies {moved}; if that is wrong, correct road_z_m"
-        return raise_rig(rig, height_m) if height_m else rig, height_m, line
+        return rig.raised(height_m) if height_m else rig, height_m, line
