@@ -12,7 +12,7 @@ from omniworld import VirtualWorld
 from omniworld.command import use_world
 
 
-@script("render")
+@script("render", "the same command goes on")
 def main(cfg: DictConfig) -> None:
     """Check the configuration and build the world; then render it, read it back or draw a page."""
     if "frames_per_scene" not in cfg.data.source:

@@ -6,7 +6,7 @@ from omniocc.runs.script import quiet_libraries, script
 from omniocc.train.command import train
 
 
-@script("train")
+@script("train", "the same command goes on")
 def main(cfg: DictConfig) -> None:
     """Run the stages of the configuration that are missing."""
     quiet_libraries()

@@ -117,7 +117,7 @@ def as_trained() -> Callable[[OccupancyModel], OccupancyModel]:
 def little_memory() -> Iterator[None]:
     """Let this process take half a GiB more than it has."""
     limits = resource.getrlimit(resource.RLIMIT_AS)
-    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    taken = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + 2**29, limits[1]))
     yield
     resource.setrlimit(resource.RLIMIT_AS, limits)

@@ -92,7 +92,7 @@ def become(place: dict[str, Any], command: list[str]) -> None:
     os.chdir(place["cwd"])
     tempfile.tempdir = None  # of this environment, not of the server's
     if place["memory_bytes"] is not None:
-        mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        mapped = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (mapped + place["memory_bytes"],) * 2)
     sys.argv = command
     sys.path[:0] = [folder for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep) if folder]

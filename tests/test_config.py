@@ -1,7 +1,9 @@
 """Configuration: every problem is found before anything is built, and named."""
 
 import inspect
+import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +12,7 @@ from hydra.utils import get_object
 from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
+from omniocc.bounds import Count, Kept, Rate, Weight
 from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of, plain
 from omniocc.geometry import Cylinder
 from omniocc.runs.folder import run_hash
@@ -178,6 +181,15 @@ def test_a_value_the_constructor_refuses_is_named():
         ("a", Literal["a", "b"], True),
         ("c", Literal["a", "b"], False),
         ([1.0, 2], tuple[float, ...], True),
+        (math.nan, float, False),
+        (-math.inf, float, False),
+        (0, Rate, False),
+        (100, Rate, True),
+        (1, Kept, False),
+        (True, Count, False),
+        ({"a": -1}, dict[str, Weight], False),
+        ({"a": 1}, Mapping[str, Weight], True),
+        ("a", Mapping[str, Weight], False),
     ],
 )
 def test_fits(value, hint, expected):
@@ -281,3 +293,67 @@ def test_arguments_of_the_trainer_that_would_do_nothing_are_refused(composed):
     with pytest.raises(ConfigError, match=r"trainer\.callbacks: .*\n.*trainer\.fast_dev_run: "):
         check_root(composed("+trainer.fast_dev_run=true", "+trainer.callbacks=[]"))
     check_root(composed("+trainer.detect_anomaly=true"))
+
+
+@pytest.mark.parametrize(
+    ("override", "problem"),
+    [
+        ("optimizer.learning_rate=nan", "optimizer.learning_rate: nan is not a number above 0 and at most 100"),
+        ("optimizer.learning_rate=0", "optimizer.learning_rate: 0 is not a number above 0"),
+        ("optimizer.weight_decay=-0.1", "optimizer.weight_decay: -0.1 is not a number from 0 to 1,000,000"),
+        ("optimizer.warmup_steps=-1", "optimizer.warmup_steps: -1 is not a whole number from 0"),
+        ("optimizer.momentum=1", "optimizer.momentum: 1 is not a number from 0 on and below 1"),
+        ("stages.depth.optimizer.min_lr_ratio=2", "stages.depth.optimizer.min_lr_ratio: 2 is not a number from 0 to 1"),
+        ("stages.depth.batch_size=0", "stages.depth.batch_size: 0 is not a whole number from 1"),
+        ("stages.sketch.max_steps=-2", "stages.sketch.max_steps: -2 is not a whole number from -1"),
+        ("stages.depth.validate_every_n_epochs=0", "validate_every_n_epochs: 0 is not a whole number from 1 "),
+        ("checkpoint_every_n_steps=0", "checkpoint_every_n_steps: 0 is not a whole number from 1 to 1,000,000,000"),
+        ("test_images=-1", "test_images: -1 is not a whole number from 0"),
+        ("ema_decay=2", "ema_decay: 2 is not a number from 0 on and below 1 or null"),
+        ("+lr_multipliers.backbone=-1", "lr_multipliers: {'backbone': -1} is not a mapping, each a number from 0"),
+        ("trainer.gradient_clip_val=-1", "trainer.gradient_clip_val: -1 is not a number from 0 to 1,000,000 or null"),
+        ("trainer.gradient_clip_val=.inf", "trainer.gradient_clip_val"),
+        ("trainer.limit_val_batches=0", "trainer.limit_val_batches: 0 is not a whole number from 1"),
+        ("trainer.limit_test_batches=0.0", "trainer.limit_test_batches: 0.0 is not"),
+        ("trainer.precision=bf16-true", "trainer.precision: 'bf16-true' is not one of '32-true', 'bf16-mixed'"),
+        ("trainer.precision=64-true", "trainer.precision: '64-true' is not one of"),
+        ("trainer.num_nodes=0", "trainer.num_nodes: 0 is not a whole number from 1 to 1,000"),
+        ("data.window=0", "data.window: 0 is not a whole number from 1 to 1,000"),
+        ("data.num_workers=1000000", "data.num_workers: 1000000 is not a whole number from 0 to 1,000"),
+        ("data.source.frame_interval_s=0", "data.source.frame_interval_s: 0 is not a number above 0 and at most 3,600"),
+        ("data.source.erp_size=[0,8]", "data.source.erp_size: [0, 8] is not a list, each a whole number from 1"),
+        ("loss.weights.ce=-1", "loss.weights: "),
+        ("loss.weights.ce=nan", "loss.weights: "),
+        ("loss.voxel.ce.constant=inf", "loss.voxel.ce.constant: inf is not a number"),
+        ("augment.hue_deg=-1", "augment.hue_deg: -1 is not a number from 0 to 180"),
+        ("depth.channels=[64,0,64]", "depth.channels: [64, 0, 64] is not a list, each a whole number from 1 to 65,536"),
+        ("depth.groups=0", "depth.groups: 0 is not a whole number from 1"),
+        ("depth.loss.sky_weight=-1", "depth.loss.sky_weight: -1 is not a number from 0"),
+        ("model.lifter.layers=0", "model.lifter.layers: 0 is not a whole number from 1"),
+        ("model.sketch.samples=[0,1,1]", "model.sketch.samples: "),
+        ("model.sketch.dilation_m=[0,.inf,0]", "model.sketch.dilation_m: "),
+        ("model.backbone.channels=1000000000000", "model.backbone.channels: 1000000000000 is not a whole number"),
+    ],
+)
+def test_a_number_without_sense_is_named_with_its_range(override, problem, composed):
+    with pytest.raises(ConfigError) as caught:
+        check_root(composed(override))
+    assert any(problem in line for line in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        *("ema_decay=0", "ema_decay=null", "test_images=0", "trainer.gradient_clip_val=0", "trainer.precision=16"),
+        *("trainer.limit_val_batches=1", "trainer.limit_val_batches=0.5", "trainer.precision=bf16-mixed"),
+        *(
+            "stages.occupancy.max_steps=-1",
+            "stages.depth.max_epochs=null",
+            "depth.context_channels=0",
+            "depth.blocks=0",
+        ),
+        *("optimizer.warmup_steps=0", "optimizer.weight_decay=0", "loss.weights.ce=0", "optimizer.momentum=0"),
+    ],
+)
+def test_numbers_at_the_ends_of_their_range_are_taken(override, composed):
+    check_root(composed(override))

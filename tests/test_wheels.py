@@ -29,7 +29,7 @@ print(omniocc.load("tiny").predict(images, rig).labels.shape)
 
 
 def project(path: Path) -> dict:
-    return tomllib.loads(path.read_text())["project"]
+    return tomllib.loads(path.read_text(encoding="utf-8"))["project"]
 
 
 def wheel_of(source: Path, folder: Path) -> Path:

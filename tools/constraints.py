@@ -44,8 +44,8 @@ def write(upgrade: bool) -> None:
     """Resolve once for all Pythons supported and write the pins, a marker where they differ."""
     with tempfile.TemporaryDirectory() as folder:
         torch, pins = Path(folder, "torch.txt"), Path(folder, "pins.txt")
-        torch.write_text(TORCH)
-        pins.write_text("" if upgrade else FILE.read_text())
+        torch.write_text(TORCH, encoding="utf-8")
+        pins.write_text("" if upgrade else FILE.read_text(), encoding="utf-8")
         compiled(
             "pyproject.toml",
             "--extra=dev",
@@ -54,7 +54,11 @@ def write(upgrade: bool) -> None:
             f"--constraint={torch}",
             f"--output-file={pins}",
         )
-        lines = [line.removesuffix(HERE) for line in pins.read_text().splitlines() if not LEFT_OUT.match(line)]
+        lines = [
+            line.removesuffix(HERE)
+            for line in pins.read_text(encoding="utf-8").splitlines()
+            if not LEFT_OUT.match(line)
+        ]
     FILE.write_text(HEADER + "\n".join(lines) + "\n")
     print(f"{FILE.name}: {len(lines)} versions")
 

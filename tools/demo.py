@@ -13,8 +13,8 @@ from make_weights import config_of, folder_of
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.runs.folder import IMAGES, METRICS, PAGE
-from omniocc.runs.results import EARLIER_MINUTES, MINUTES, load_results
+from omniocc.runs.folder import PAGE
+from omniocc.runs.results import EARLIER_MINUTES, IMAGES, METRICS, MINUTES, load_results
 from omniocc.runs.script import quiet_libraries
 from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped

@@ -28,8 +28,8 @@ from omniocc.predict import load
 from omniocc.report.card import card
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST
-from omniocc.runs.folder import METRICS, run_hash
-from omniocc.runs.results import EARLIER_MINUTES, MINUTES, load_results
+from omniocc.runs.folder import run_hash
+from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
 from omniocc.runs.script import quiet_libraries
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
 from omniocc.train.depth import FARTHEST_M

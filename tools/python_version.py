@@ -9,7 +9,7 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 def main():
     """Compare the running Python with `requires-python`."""
-    with open(os.path.join(ROOT, "pyproject.toml")) as file:
+    with open(os.path.join(ROOT, "pyproject.toml"), encoding="utf-8") as file:
         low, high = map(int, re.search(r'requires-python = ">=3\.(\d+),<3\.(\d+)"', file.read()).groups())
     if not (3, low) <= sys.version_info[:2] < (3, high):
         found = "Python " + ".".join(map(str, sys.version_info[:3])) + " (" + sys.executable + ") found"

@@ -24,7 +24,7 @@ def refuses_a_wrong_shape() -> bool:
     """Return whether points of two instead of three coordinates end in an error about types; print the run if not."""
     with tempfile.TemporaryDirectory() as folder:
         wrong = Path(folder, "test_wrong.py")
-        wrong.write_text(WRONG)
+        wrong.write_text(WRONG, encoding="utf-8")
         result = subprocess.run([*COMMAND, "-n0", str(wrong)], cwd=ROOT, capture_output=True, text=True, check=False)
     if result.returncode == 1 and ("TypeCheckError" in result.stdout or "Beartype" in result.stdout):
         return True

@@ -64,7 +64,7 @@ def _imports(module: str, path: Path) -> Iterator[str]:
     """Yield the modules of its own package, and what is taken from them, that a module imports."""
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     top = f"{module.partition('.')[0]}."
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -78,7 +78,7 @@ def _digest(modules: Mapping[str, Path]) -> str:
     """Return a hash of modules by name: what their code does, and what they are called."""
     digest = hashlib.sha256()
     for name, path in sorted(modules.items()):
-        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
+        digest.update(f"{name}\n{_bare(path.read_text('utf-8'))}\n".encode())
     return digest.hexdigest()[:16]
 
 

@@ -5,11 +5,10 @@ import inspect
 import os
 import re
 import sys
-import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, cast, get_type_hints
 
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException, InstantiationException
@@ -17,6 +16,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
+from omniocc.bounds import Batches, Count, Kept, Limit, Number, NumberOrNone, Weight, described, fits
 from omniocc.code import spec_of
 from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
@@ -118,10 +118,10 @@ ROOT: dict[str, Any] = {
     "resume": str,
     "weights": str | None,
     "stage": str | None,
-    "checkpoint_every_n_steps": int,
-    "test_images": int,
-    "ema_decay": float | None,
-    "lr_multipliers": dict[str, float] | None,
+    "checkpoint_every_n_steps": Number,
+    "test_images": NumberOrNone,
+    "ema_decay": Kept | None,  # pyright: ignore[reportOperatorIssue]
+    "lr_multipliers": dict[str, Weight] | None,
     "packages": list[str],
     "plan": bool,
 }
@@ -144,6 +144,16 @@ NOT_OF_TRAINER = {
     "check_val_every_n_epoch": "it is stages.occupancy.validate_every_n_epochs now",
 }
 """Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
+OF_TRAINER: dict[str, Any] = {
+    "precision": Literal["32-true", "bf16-mixed", "16-mixed", "32", "bf16", "16", 32, 16],
+    "gradient_clip_val": Weight | None,  # pyright: ignore[reportOperatorIssue]
+    "accumulate_grad_batches": Number,
+    "log_every_n_steps": NumberOrNone | None,  # pyright: ignore[reportOperatorIssue]
+    "num_sanity_val_steps": Limit | None,  # pyright: ignore[reportOperatorIssue]
+    "num_nodes": Count,
+    **dict.fromkeys(("limit_train_batches", "limit_val_batches", "limit_test_batches"), Batches | None),
+}
+"""Values of Lightning's trainer with which a run ends well: parts of ours stay in 32 bits, every split is read."""
 
 
 def check_root(cfg: DictConfig) -> None:
@@ -280,7 +290,7 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str]) -> Iterato
         yield f"{path}._target_: {refusal}"
         return
     parameters = parameters_of(target)
-    hints = _hints(target)
+    hints = _hints(target) | (OF_TRAINER if path == "trainer" else {})
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     for key in map(str, node):
         if key.startswith("_") and key.endswith("_"):
@@ -337,7 +347,7 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
         return
     wrong_seed = key == "seed" and isinstance(plain, int) and not 0 <= plain <= MAX_SEED
     if not fits(plain, hint):
-        yield f"{path}.{key}: {plain!r} is not {_describe(hint)}"
+        yield f"{path}.{key}: {plain!r} is not {described(hint)}"
     elif wrong_seed and not OmegaConf.is_interpolation(node, key):
         yield f"{path}.seed: {plain} is not from 0 to {MAX_SEED}"
 
@@ -351,43 +361,6 @@ def _unknown(path: str, owner: str, known: Sequence[str]) -> str:
 def _hints(target: Any) -> dict[str, Any]:
     function = target.__init__ if inspect.isclass(target) and target.__init__ is not object.__init__ else target
     try:
-        return get_type_hints(function)
+        return get_type_hints(function, include_extras=True)
     except (NameError, TypeError):  # annotations of other libraries that only a type checker can resolve
         return {}
-
-
-def fits(value: Any, hint: Any) -> bool:
-    """Return whether a plain configuration value fits a type hint.
-
-    Objects to be built (`_target_`) always fit, and every value fits hints of kinds that are not handled here.
-    """
-    if isinstance(value, dict) and "_target_" in value:
-        return True
-    if hint in (bool, str, type(None)):
-        return isinstance(value, hint)
-    if hint in (int, float):
-        if isinstance(value, int) and not isinstance(value, bool):
-            return abs(value) <= sys.float_info.max
-        return isinstance(value, hint) and not isinstance(value, bool)
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Literal:
-        return value in arguments
-    if origin in (Union, types.UnionType):
-        return any(fits(value, option) for option in arguments)
-    if origin is tuple and isinstance(value, list | tuple):
-        items = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
-        return len(items) == len(value) and all(map(fits, value, items))
-    if origin is dict:
-        return isinstance(value, Mapping) and all(fits(item, arguments[1]) for item in value.values())
-    if inspect.isclass(origin) and issubclass(origin, Sequence):
-        return isinstance(value, list | tuple) and all(fits(item, arguments[0]) for item in value)
-    return True
-
-
-def _describe(hint: Any) -> str:
-    if get_origin(hint) is Literal:
-        return "one of " + ", ".join(map(repr, get_args(hint)))
-    if get_origin(hint) in (Union, types.UnionType):
-        return " or ".join(map(_describe, get_args(hint)))
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}
-    return names.get(hint) or str(hint)

@@ -4,6 +4,8 @@ LONGEST = 1000
 """Characters of a text that a message shows: a value may have a thousand lines."""
 LONGEST_OF_FILES = 200
 """The same of names and values that a file holds."""
+INTERRUPTED = 130
+"""Exit code of a process that Ctrl-C has ended, as in shells."""
 
 
 class UserError(ValueError):

@@ -14,8 +14,8 @@ from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
 from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
-from omniocc.runs.folder import IMAGES, git_commit
-from omniocc.runs.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
+from omniocc.runs.folder import git_commit
+from omniocc.runs.results import EVALUATION, IMAGES, OVERRIDES, PROTOCOL, save_results, show_results
 from omniocc.runs.trust import CONF
 from omniocc.runs.weights import SHIPPED, find_checkpoint
 from omniocc.train import StepProgress

@@ -239,10 +239,15 @@ def read_bytes(path: Path, remedy: str = "", most_bytes: int = sys.maxsize) -> b
 
 
 def read_short_text(path: Path) -> str:
-    """Return the text of a file of at most 16 MiB; raise ValueError if it is longer or no text."""
+    """Return the text of a file of at most 16 MiB; raise ValueError if it is longer or no text, OSError naming it."""
     check_regular(path)
-    with path.open("rb") as file:
-        content = file.read(MOST_BYTES + 1)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror or error}") from error
     if len(content) > MOST_BYTES:
         raise ValueError(f"it has more than {MOST_BYTES >> 20} MiB; is it the right file?")
     return text_of(content)

@@ -11,10 +11,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
 from queue import Empty
-from signal import SIG_IGN, SIGINT, signal
+from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, SIGINT, pthread_sigmask, signal
 from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
@@ -100,7 +101,21 @@ def process_context(work: Callable[..., Any]) -> Any:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([getattr(work, "func", work).__module__])
+    start_fork_server()
     return context
+
+
+def start_fork_server() -> None:
+    """Start the process whose copies `forkserver` makes, such that Ctrl-C never reaches it or them.
+
+    A terminal sends Ctrl-C to all processes of a command. The parent alone answers it, and then ends the others.
+    """
+    resource_tracker.ensure_running()  # first, since it unblocks the signal
+    before = pthread_sigmask(SIG_BLOCK, {SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        pthread_sigmask(SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
@@ -213,7 +228,7 @@ def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
 
 def _owner(path: Path) -> str:
     try:
-        facts = json.loads(path.read_text())
+        facts = json.loads(path.read_text("utf-8"))
         return f"(pid {facts['pid']} on {facts['host']})"
     except (OSError, ValueError):  # the other process is writing it
         return "(unknown)"

@@ -187,7 +187,7 @@ def write_status(status: Status) -> None:
 def read_status(path: Path) -> Status | None:
     """Return the last status that a process has written to its file, None before the first."""
     try:
-        return Status(**json.loads(path.read_text()))
+        return Status(**json.loads(path.read_text("utf-8")))
     except FileNotFoundError:
         return None
 

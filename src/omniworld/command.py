@@ -105,7 +105,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     if not scenes:
         raise DataError(f"{world.place} has none of these scenes: run without page=true first")
-    path = Path(world.folder) / "index.html"
+    path = Path(world.folder) / "scenes.html"  # index.html would hide the folder's list of files from readers over HTTP
     save_page(path, scenes, Cylinder(), WORLD_CLASSES)
     absent = f", {len(missing)} missing" if missing else ""
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes{absent}")

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 from omniocc import seeding
-from omniocc.camera import Rig
+from omniocc.bounds import Count, Number, Seconds, Size
+from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
@@ -104,20 +105,20 @@ class VirtualWorld:
         self,
         root: str,
         rig: str,
-        image_size: Sequence[int],
+        image_size: Sequence[Size],
         themes: Sequence[str],
         train_scenes: int,
         val_scenes: int,
         test_scenes: int,
-        frames_per_scene: int,
-        frame_interval_s: float,
-        supersample: int,
-        erp_size: Sequence[int],
+        frames_per_scene: Number,
+        frame_interval_s: Seconds,
+        supersample: Count,
+        erp_size: Sequence[Size],
         erp_top_deg: float,
         erp_bottom_deg: float,
         weather: Weather | Literal["night", "in_turn"] | None = None,
         label_mode: LabelMode = "lidar20",
-        lidars: int = 20,
+        lidars: Count = 20,
         capture: Capture = "direct",
         repainted_fraction: float = 0.0,
         test_places: Sequence[str] = (),
@@ -140,6 +141,7 @@ class VirtualWorld:
         self.supersample = _at_least("supersample", supersample, 1)
         self.erp_size = tuple(erp_size)
         self.erp_top_deg, self.erp_bottom_deg = float(erp_top_deg), float(erp_bottom_deg)
+        Equirectangular(erp_size[0], erp_size[1], self.erp_top_deg, self.erp_bottom_deg)  # checks the edges
         self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, night.NIGHT, IN_TURN))
         self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
         self.lidars = _at_least("lidars", lidars, 1)

@@ -65,7 +65,7 @@ class Meter:
         if not CLEAR_REFS.exists() or not hasattr(ctypes.CDLL(None), "malloc_trim"):
             return float("nan")
         ctypes.CDLL(None).malloc_trim(0)  # free memory that is kept would hide memory that is used
-        CLEAR_REFS.write_text("5")
+        CLEAR_REFS.write_text("5", encoding="utf-8")
         return status_bytes("VmRSS")
 
     def _peak(self) -> float:
@@ -80,7 +80,10 @@ class Meter:
 
 def status_bytes(key: str) -> int:
     """Return an entry of this process' status."""
-    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key)) * 1024
+    return (
+        next(int(line.split()[1]) for line in STATUS.read_text(encoding="utf-8").splitlines() if line.startswith(key))
+        * 1024
+    )
 
 
 def total(output: object) -> Tensor:

@@ -33,7 +33,7 @@ def record(output: Path, rows: list[str]) -> None:
         for row in rows:
             figures[row] = figures_of_row(row, Path(folder))
             print(f"{row}: {len(figures[row])} figures, RayIoU {figures[row].get('test/rayiou')}", flush=True)
-            output.write_text(json.dumps(figures, indent=1))
+            output.write_text(json.dumps(figures, indent=1), encoding="utf-8")
 
 
 def figures_of_row(row: str, folder: Path) -> dict[str, float]:
@@ -61,7 +61,7 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
 
 def losses(curves: Path) -> dict[str, float]:
     """Return every training loss of a CSV file of curves as {name@step: value}."""
-    with curves.open() as file:
+    with curves.open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row.get("train/loss")]
     return {
         f"{key}@{row['step']}": float(row[key]) for row in rows for key in row if key.startswith("train/") and row[key]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from store import KEYS, Proxy, can_start, s3_server
 
-from omniocc.runs.folder import METRICS
+from omniocc.runs.results import METRICS
 
 pytestmark = pytest.mark.cluster
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from omniocc.progress import read_status
-from omniocc.runs.folder import METRICS
+from omniocc.runs.results import METRICS
 
 pytestmark = pytest.mark.cluster
 ROOT = Path(__file__).parents[2]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from slurm import free_port
 
-from omniocc.runs.folder import METRICS
+from omniocc.runs.results import METRICS
 
 pytestmark = pytest.mark.cluster
 ROOT = Path(__file__).parents[2]

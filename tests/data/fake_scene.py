@@ -45,7 +45,7 @@ class FakeScene:
             raise ZeroDivisionError("no such street")
         time.sleep(self.delay_s)
         if mark := os.environ.get("FAKE_SCENE_MARK"):
-            with open(mark, "a") as file:
+            with open(mark, "a", encoding="utf-8") as file:
                 file.write(f"{self.plan.name} {index}\n")
         return fake_frame(self.plan.seed, index)
 

@@ -4,6 +4,11 @@ import json
 import re
 import runpy
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +18,28 @@ from fake_scene import FakeWorld
 import omniocc
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.data.store.files import list_folders
+from omniocc.data.store.shard import META
 from omniocc.draw.ranges import SKY
 from omniocc.geometry import Cylinder
 from omniworld.class_fractions import PUBLISHED_PERCENT
 from omniworld.page import UNMEASURED, range_image, save_page
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
+
+
+class Silent(SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+@contextmanager
+def serving(folder: Path) -> Iterator[str]:
+    """Serve a folder over HTTP, and give its address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(folder))) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
 
 
 @pytest.fixture
@@ -61,7 +82,9 @@ def test_render_check_and_page(run, tmp_path):
     code, out = run("page=true")
     assert code == 0
     assert "2 scenes, 3 missing" in out
-    assert 100_000 < (folder / "index.html").stat().st_size < 5_000_000
+    assert 100_000 < (folder / "scenes.html").stat().st_size < 5_000_000
+    with serving(folder) as url:  # the page must not stand in the way of who reads the folder's list
+        assert list_folders(url, META) == ["train-002-industrial", "val-000-downtown"]
     assert re.search(r"view\.html: \d\.\d MB, their voxels to turn\n", out)
 
     shard = folder / "val-000-downtown" / "frames-000.tar"

@@ -198,7 +198,7 @@ def _first_number(new: str) -> Callable[[str], str]:
 
 def _tree(change: Callable[[Tree], Any]) -> Callable[[Path, Box], None]:
     def make(path: Path, box: Box) -> None:
-        tree = json.loads(path.read_text())
+        tree = json.loads(path.read_text(encoding="utf-8"))
         found = change(tree)
         _write(path, json.dumps(tree if found is None else found).encode())
 

@@ -138,7 +138,7 @@ def same_path(base: Path) -> Callable[[Path, str], str | None]:
 def times(path: Path, kind: str) -> str:
     """Return the poses of a log as `csv`, `tum` or `kitti` writes them: shifts along straight lines."""
     rows = []
-    for place, line in enumerate(path.read_text().splitlines()[1:]):
+    for place, line in enumerate(path.read_text(encoding="utf-8").splitlines()[1:]):
         stamp = line.split(",")[0]
         if kind == "tum":
             rows.append(f"{int(stamp) / 1e9:.9f} {place} 0 0 0 0 0 1")

@@ -74,7 +74,7 @@ def watched(box: Box) -> Opening:
 
 def _json(change: Callable[[Tree], Any]) -> Callable[[Path], None]:
     def make(path: Path) -> None:
-        tree = json.loads(path.read_text())
+        tree = json.loads(path.read_text(encoding="utf-8"))
         change(tree)
         _write(path, json.dumps(tree))
 

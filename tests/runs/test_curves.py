@@ -44,7 +44,11 @@ def test_a_file_that_is_being_written_gives_its_complete_lines(tmp_path):
 
 @pytest.mark.parametrize(
     ("line", "said"),
-    [("9,\0", "train/loss is '.x00'"), ("9,low", "train/loss is 'low'"), ("9," + "1" * 2**18, "field larger than")],
+    [
+        ("9,\0", "it is no text in UTF-8: line 2 holds the byte 0x00"),
+        ("9,low", "train/loss is 'low'"),
+        ("9," + "1" * 2**18, "field larger than"),
+    ],
 )
 def test_a_damaged_file_is_named(line, said, tmp_path):
     write(tmp_path, 0, "step,train/loss", line)

@@ -7,7 +7,8 @@ from omniocc.config import plain
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint_io import LAST, write_checkpoint
 from omniocc.runs.distributed import is_first
-from omniocc.runs.folder import METRICS, command_line, command_of, open_run, run_hash
+from omniocc.runs.folder import command_line, command_of, open_run, run_hash
+from omniocc.runs.results import METRICS
 from omniocc.train.stage_keys import stage_keys
 
 

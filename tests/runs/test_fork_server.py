@@ -79,7 +79,7 @@ def test_copies_end_with_their_server_and_count_as_failed(server, tmp_path):
 
     def gone() -> bool:
         stat = Path(f"/proc/{copy.pid}/stat")
-        return not stat.exists() or stat.read_text().split()[2] == "Z"
+        return not stat.exists() or stat.read_text(encoding="utf-8").split()[2] == "Z"
 
     wait_for(gone)
 

@@ -5,12 +5,11 @@ import json
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.runs.folder import git_commit
+from omniocc.runs.folder import git_commit, made_by_other_code
 from omniocc.runs.results import (
     FROM_TRAJECTORY,
     OVERRIDES,
     load_results,
-    made_by_other_code,
     save_results,
     trajectory_figures,
 )
@@ -44,7 +43,10 @@ def test_a_run_of_another_commit_is_named(tmp_path):
     assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"
 
 
-@pytest.mark.parametrize(("score", "said"), [(10**400, "int too large"), (float("inf"), "test/rayiou is infinite")])
+@pytest.mark.parametrize(
+    ("score", "said"),
+    [(10**400, "test/rayiou is 1000"), (float("inf"), "test/rayiou is inf"), (1e300, "test/rayiou is 1e")],
+)
 def test_a_score_that_no_float_holds_is_refused(score, said, tmp_path):
     (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": score}}))
     with pytest.raises(UserError, match=rf"metrics\.json is damaged \({said}"):

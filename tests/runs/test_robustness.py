@@ -94,5 +94,5 @@ def test_damaged_files_are_named(tmp_path, capsys):
     content = json.loads((tmp_path / "robustness-tiny" / "robustness.json").read_text())
     content["parts"][0]["scores"]["rayiou"] = 10**400
     broken.write_text(json.dumps(content))
-    with pytest.raises(UserError, match=r"robustness\.json is damaged \(int too large"):
+    with pytest.raises(UserError, match=r"robustness\.json is damaged \(a score is 1000"):
         load_robustness(broken)

@@ -1,8 +1,12 @@
 """The command line of scripts: help that is cut off, and Python 3.14, whose check older Pythons get here."""
 
 import argparse
+import math
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,7 +15,8 @@ from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from scripts import run_script
 
-from omniocc.runs.script import accept_lazy_help, explain, nearest
+from omniocc.runs.results import save_results
+from omniocc.runs.script import accept_lazy_help, explain, lines_not_tracebacks, nearest
 
 SRC = Path(__file__).parents[2] / "src"
 
@@ -156,3 +161,141 @@ def test_every_script_says_it_without_a_traceback(command, first, tmp_path):
     assert result.returncode == 1
     assert result.stderr.startswith(first)
     assert len(result.stderr.splitlines()) <= 4
+
+
+ASCII = {"PYTHONIOENCODING": "", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+"""Environment of a terminal without UTF-8."""
+SHOWN = """
+import sys
+from pathlib import Path
+from omniocc.runs.results import show_results
+from omniocc.runs.script import lines_not_tracebacks
+from omniocc.errors import UserError
+
+@lines_not_tracebacks
+def main():
+    show_results(Path(sys.argv[1]))
+    print("0.5 ± 0.1 … 3 × µ á ✅ 東")
+    raise UserError("α – β")
+
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("environment", "last", "error"),
+    [
+        ({**ASCII, "PYTHONIOENCODING": "ascii"}, "0.5 +/- 0.1 ... 3 x u a yes ?", "? - ?"),
+        ({**ASCII, "PYTHONIOENCODING": "latin-1"}, "0.5 ± 0.1 ... 3 × µ á yes ?", "? - ?"),
+        (ASCII, "0.5 +/- 0.1 ... 3 x u a yes ?", "? - ?"),
+    ],
+    ids=lambda value: value.get("PYTHONIOENCODING") or "locale" if isinstance(value, dict) else None,
+)
+def test_a_terminal_of_any_encoding_shows_the_results(environment, last, error, tmp_path):
+    folder = tmp_path / "ärger"
+    folder.mkdir()
+    save_results(folder, {"test/rayiou": 0.25, "test/rayiou/car": math.nan, "prior/rayiou": 0.125}, {"run": "é – ü"})
+    (script := tmp_path / "script.py").write_text(SHOWN, "utf-8")
+    variables = {**os.environ, "PYTHONPATH": str(SRC), **environment}
+    result = subprocess.run([sys.executable, script, folder], env=variables, capture_output=True, check=False)
+    encoding = environment["PYTHONIOENCODING"] or "ascii"
+    printed = result.stdout.decode(encoding, "replace")  # bytes of file names come out as they are
+    assert (printed.splitlines()[-1], result.returncode) == (last, 1)
+    assert result.stderr.decode(encoding).strip() == error
+    assert "0.250" in printed
+    assert "é – ü" in (folder / "table.md").read_text("utf-8")
+
+
+READS = """
+import os, signal, time
+from pathlib import Path
+import torch
+from lightning.pytorch import Trainer
+from lightning.pytorch.demos.boring_classes import BoringModel
+from torch.utils.data import DataLoader, Dataset
+from omniocc.data.module import worker_options
+from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
+
+class Slow(Dataset):
+    def __len__(self):
+        return 1000
+
+    def __getitem__(self, index):
+        Path(f"{index}.read").touch()
+        if DIES and index == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(0.05)
+        return torch.ones(32)
+
+@lines_not_tracebacks
+def main():
+    quiet_libraries()
+    loader = DataLoader(Slow(), **worker_options(2))
+    quiet = {"logger": False, "enable_progress_bar": False, "enable_model_summary": False, "accelerator": "cpu"}
+    Trainer(enable_checkpointing=False, **quiet).test(BoringModel(), loader, verbose=False)
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def reader(folder: Path, dies: bool) -> subprocess.Popen[str]:
+    """Start a script that tests a model in a folder, reading by two processes, as the leader of a process group."""
+    (folder / "reads.py").write_text(f"DIES = {dies}\n{READS}")
+    return subprocess.Popen(
+        [sys.executable, "reads.py"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(SRC), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # a test run started in the background of a shell ignores Ctrl-C, and children inherit this
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+@pytest.mark.slow(15)
+def test_the_death_of_a_loader_process_is_one_line(tmp_path):
+    output, errors = (process := reader(tmp_path, dies=True)).communicate(timeout=120)
+    assert (process.returncode, output) == (1, "")
+    assert errors.startswith("a process that reads the data was killed (out of memory?). Run the same command again")
+    assert len(errors.splitlines()) == 1
+
+
+@pytest.mark.slow(15)
+def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
+    """A terminal sends it to the whole group, also to the processes that read."""
+    process = reader(tmp_path, dies=False)
+    deadline_s = time.monotonic() + 120
+    while not (tmp_path / "4.read").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=60) == ("", "stopped by Ctrl-C\n")
+    assert process.returncode == 130
+
+
+def test_ctrl_c_says_what_the_same_command_does(capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        for main in (lines_not_tracebacks(interrupted, "it goes on"), interrupted):
+            main = lines_not_tracebacks(main)  # as a script's main is, with one around Hydra
+            with pytest.raises(SystemExit) as ended:
+                main()
+            assert ended.value.code == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "stopped by Ctrl-C; it goes on\nstopped by Ctrl-C\n"
+
+
+def test_other_errors_of_the_code_keep_their_traceback():
+    def wrong():
+        raise RuntimeError("CUDA error")
+
+    with pytest.raises(RuntimeError, match="CUDA"):
+        lines_not_tracebacks(wrong)()

@@ -223,6 +223,49 @@ class SignalAt(Callback):
             os.kill(os.getpid(), self.number)
 
 
+def test_ctrl_c_saves_stops_and_goes_on_and_a_second_one_ends_at_once(tmp_path, capfd):
+    before = signal.getsignal(signal.SIGINT)
+    seen = SeenAtEnd()
+    with pytest.raises(SystemExit) as ended:
+        trainer_of(tmp_path, SignalAt(3, signal.SIGINT), seen).fit(BoringModel())
+    signal.signal(signal.SIGINT, before)
+    assert ended.value.code == 130
+    assert capfd.readouterr().err.strip().splitlines() == [
+        "Ctrl-C: a checkpoint is saved after this step; a second Ctrl-C ends at once",
+        "stopped by Ctrl-C at step 4; the same command goes on",
+    ]
+    assert seen.handlers == {signal.SIG_DFL}, "the system ends the process"
+    trainer = trainer_of(tmp_path)
+    trainer.fit(BoringModel(), ckpt_path=str(tmp_path / "last.ckpt"))
+    assert trainer.global_step == 8
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_after_another_error_ctrl_c_does_what_it_did(tmp_path):
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(SystemExit):
+        trainer_of(tmp_path, SignalAt(3)).fit(BoringModel())
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_behind_nohup_ctrl_c_stays_ignored(tmp_path):
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    trainer = trainer_of(tmp_path, SignalAt(3, signal.SIGINT))
+    try:
+        trainer.fit(BoringModel())
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert trainer.global_step == 8
+
+
+class SeenAtEnd(Callback):
+    def __init__(self):
+        self.handlers = set()
+
+    def on_exception(self, *_):
+        self.handlers.add(signal.getsignal(signal.SIGINT))
+
+
 class SignalInValidation(Callback):
     def on_validation_batch_start(self, *_):
         os.kill(os.getpid(), signal.SIGTERM)

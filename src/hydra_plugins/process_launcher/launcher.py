@@ -13,12 +13,12 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from hydra_plugins.process_launcher.job import Job, Starter, file_name, label_of, last_lines, start_command
+from omniocc.errors import INTERRUPTED
 from omniocc.progress import clock
 from omniocc.runs.fork_server import ForkServer
 
 POLL_S = 0.5
 SEPARATOR = " | "  # between the jobs of the progress line; on a terminal each has a line of its own
-INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
 IMPORTS = "imports.log"

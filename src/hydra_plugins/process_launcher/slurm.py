@@ -86,7 +86,7 @@ class SlurmJob:
         try:
             requeue(STOP, None)
         except RuntimeError as error:
-            with log_of(self.log, task).open("a") as output:
+            with log_of(self.log, task).open("a", encoding="utf-8") as output:
                 output.write(f"the time limit of the Slurm job is reached: {error} The same command goes on.\n")
             return LIMIT
         return None
@@ -277,7 +277,7 @@ class Submitted:
     def poll(self) -> int | None:
         """Return the exit code, that of a task which failed if any; None before the end."""
         if all(path.exists() for path in self.codes):
-            codes = [int(path.read_text() or LOST) for path in self.codes]
+            codes = [int(path.read_text("utf-8") or LOST) for path in self.codes]
             return next((code for code in codes if code), 0)
         if self.lost:
             return LOST
@@ -289,7 +289,7 @@ class Submitted:
         if time.monotonic() - self.ended_s < GONE_S:
             return None
         self.lost = True
-        with self.log.open("a") as file:
+        with self.log.open("a", encoding="utf-8") as file:
             file.write(f"Slurm ended job {self.number}: {state or 'it is not listed any more'}\n")
         return LOST
 

@@ -12,6 +12,7 @@ from torch import Tensor, device
 from torch.utils.data import DataLoader, DistributedSampler
 
 from omniocc.batch import Batch, to_device
+from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
@@ -20,12 +21,14 @@ from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, 
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.parallel import limit_threads
+from omniocc.parallel import limit_threads, start_fork_server
 from rayiou.directions import rays_around
 
 
 def worker_options(num_workers: int) -> dict[str, Any]:
     """Return the arguments of a `DataLoader` for its processes, each with one thread; 0 reads in this process."""
+    if num_workers:
+        start_fork_server()
     return {
         "num_workers": num_workers,
         "worker_init_fn": limit_threads,
@@ -146,16 +149,16 @@ class OccupancyData(LightningDataModule):
     def __init__(
         self,
         source: SceneSource,
-        num_classes: int,
+        num_classes: Size,
         geometry: Grid,
-        window: int,
-        batch_size: int,
-        num_workers: int,
+        window: Count,
+        batch_size: Number,
+        num_workers: CountOrNone,
         seed: int,
         ignore: Ignore = "none",
-        samples_per_scene: int = 1,
+        samples_per_scene: Number = 1,
         range_edges_m: Sequence[float] | None = None,
-        ray_azimuths: int | None = None,
+        ray_azimuths: Number | None = None,
     ):
         super().__init__()
         if ray_azimuths is not None and ray_azimuths < 1:

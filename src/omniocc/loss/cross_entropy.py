@@ -5,6 +5,7 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Size
 from omniocc.classes import UNKNOWN
 
 
@@ -34,7 +35,7 @@ class CrossEntropy(nn.Module):
 
     weights: Tensor
 
-    def __init__(self, constant: float, num_classes: int):
+    def __init__(self, constant: float, num_classes: Size):
         super().__init__()
         if constant <= 1:
             raise ValueError(f"constant is {constant}; above 1 all weights 1/log(fraction + constant) are positive")

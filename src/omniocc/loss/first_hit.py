@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Size, Weight
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from rayiou.directions import rays_around
@@ -128,10 +129,10 @@ class FirstHit(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        azimuths: int,
+        azimuths: Size,
         within_m: Sequence[float],
-        likelihood_weight: float,
-        overlap_weight: float,
+        likelihood_weight: Weight,
+        overlap_weight: Weight,
     ):
         super().__init__()
         if azimuths < 1 or not within_m or min(within_m) <= 0:

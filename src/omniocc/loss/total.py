@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Weight
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import downsample
@@ -72,7 +73,7 @@ class TotalLoss(nn.Module):
         self,
         voxel: Mapping[str, nn.Module],
         pixel: Mapping[str, nn.Module],
-        weights: Mapping[str, float],
+        weights: Mapping[str, Weight],
         ray: Mapping[str, nn.Module] | None = None,
         run: Mapping[str, nn.Module] | None = None,
         coarse: Mapping[str, nn.Module] | None = None,

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Size
 from omniocc.camera import Rig
 from omniocc.classes import FREE
 from omniocc.errors import UserError
@@ -199,7 +200,7 @@ class OccupancyModel(nn.Module):
         refiner: Refiner,
         semantic_head: SemanticHead,
         hints: SketchAndPixels,
-        num_classes: int,
+        num_classes: Size,
     ):
         super().__init__()
         self.geometry = geometry

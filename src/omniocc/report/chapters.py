@@ -5,15 +5,15 @@ from pathlib import Path
 
 from omniocc.io import atomic_write
 from omniocc.report.datasets import dataset_csv, dataset_latex, dataset_part
-from omniocc.report.runs import FinishedRun, grid_name, path_between
+from omniocc.report.runs import UNKNOWN, FinishedRun, grid_name, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import budget, robustness, training
 from omniocc.report.tables.budget import overview_keys, table_of_runs
 from omniocc.report.tables.formats import Part, parts_text
 from omniocc.report.tables.names import method_names
-from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, runs_of, table_cells
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, has_paper, runs_of, table_cells
 from omniocc.report.tables.protocol import protocol_lines
-from omniocc.report.tables.verdicts import verdicts_parts
+from omniocc.report.tables.verdicts import HEAD, NOT_RUN, verdicts_parts
 from omniocc.runs.table import SCORES, Cells, number
 
 SPREAD = "± is the standard error over seeds everywhere: of a mean, or of a gap between two methods."
@@ -41,6 +41,41 @@ def parts_of(sweep: Sweep) -> list[Part]:
         *robustness.report_parts(sweep.robustness),
         budget_part(sweep, sweep.rows),
     ]
+
+
+def parts_with_runs(sweep: Sweep) -> tuple[list[Part], list[tuple[Part, str]]]:
+    """Return the tables of a page: those with a run, and those without, each with the command that fills it.
+
+    In the former, rows with a run stand first, and those with neither a run nor a figure of the paper are left out, as
+    are claims on methods that have not run; the note counts them.
+    """
+    empty = {table.name for table in sweep.tables if not runs_of(table, sweep.table_rows)}
+    preset = sweep.runs[0].setting[0]
+    command = "python src/train.py --multirun +sweep={}" + f" preset={preset}" * (preset != UNKNOWN)
+    parts = parts_of(sweep._replace(tables=[_run_first(table, sweep) for table in sweep.tables]))
+    filled = [_decided(part) for part in parts if part.name not in empty]
+    waiting = [(table_part(table, sweep), command.format(table.name)) for table in sweep.tables if table.name in empty]
+    return [part for part in filled if part.cells[1]], waiting
+
+
+def _run_first(table: PaperTable, sweep: Sweep) -> PaperTable:
+    """Return a table with the rows that have run first, and of the others only those that the paper has figures of."""
+    kept = [row for row in table.rows if row.run in sweep.table_rows or has_paper(row)]
+    count = len(table.rows) - len(kept)
+    note = f"{table.note}\n\nNot run and not shown: {count} rows." if count else table.note
+    return table._replace(rows=sorted(kept, key=lambda row: row.run not in sweep.table_rows), note=note.strip())
+
+
+def _decided(part: Part) -> Part:
+    """Return a table of claims without those on methods that have not run; other tables as they are."""
+    head, lines = part.cells
+    if head != HEAD:
+        return part
+    kept = [line for line in lines if line[HEAD.index("Verdict")] != NOT_RUN]
+    count = len(lines) - len(kept)
+    return part._replace(
+        cells=(head, kept), note=f"{part.note} Not run and not shown: {count} claims." if count else part.note
+    )
 
 
 def report_markdown(sweep: Sweep) -> str:

@@ -1,6 +1,7 @@
 """The paper's comparison of datasets, and the dataset that the runs used as its last row."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -15,9 +16,10 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.report.runs import FinishedRun, read_mapping
+from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.formats import Part, csv_text, tabular
 from omniocc.report.tables.paper import NUMERALS
+from omniocc.runs.renamed import read_mapping
 from omniocc.runs.table import Cells
 from omniocc.runs.trust import not_offered
 
@@ -80,15 +82,24 @@ def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTab
     It has the frames of the first run, and the cameras of all runs. In the virtual world every pixel has class and
     range, and points from which any grid is filled.
     """
-    sources = [run.config.get("data", {}).get("source", {}) for run in runs]
-    made = [source for source in sources if source.keys() >= MADE]
+    sources = [run.config.get("data", {}).get("source") or {} for run in runs]
+    made = [source for source in sources if all(source.get(key) is not None for key in MADE)]
     if not made or made[0] is not sources[0]:
         return table
-    rigs = [Rig.load(name) for name in dict.fromkeys(source["rig"] for source in made) if name != DRAWN_RIG]
-    pinhole = {isinstance(camera, Pinhole) for rig in rigs for camera in rig.cameras}
+    names = dict.fromkeys(source["rig"] for source in made)
+    pinhole = {pinhole for name in names if name != DRAWN_RIG for pinhole in kinds_of_cameras(name)}
     frames = sum(made[0][f"{split}_scenes"] for split in SPLITS) * made[0]["frames_per_scene"]
     cells = [True in pinhole, False in pinhole, True, True, True, frames]
     return table._replace(rows=[*table.rows, ("OmniDepth-Occ (here)", cells)])
+
+
+@cache
+def kinds_of_cameras(rig: str) -> frozenset[bool]:
+    """Return for which of a rig's cameras it is true that they are pinholes; none where the rig is not to be read."""
+    try:
+        return frozenset(isinstance(camera, Pinhole) for camera in Rig.load(rig).cameras)
+    except (ValueError, OSError):  # its file may be on the machine of the run alone
+        return frozenset()
 
 
 def with_folders(table: DatasetTable, folders: Sequence[Path]) -> DatasetTable:
@@ -115,8 +126,8 @@ def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) 
 
 def scenes_of(run: FinishedRun) -> Sequence[SceneReader]:
     """Return all scenes that a run was trained, validated and tested on; none if exactly this data is missing."""
-    own = {"data": {"source": (run.config.get("data") or {}).get("source")}}
-    if not isinstance(own["data"]["source"], dict) or next(not_offered(own, OWN_PACKAGE), None) is not None:
+    own = {"data": {"source": run.config.get("data", {}).get("source")}}
+    if own["data"]["source"] is None or next(not_offered(own, OWN_PACKAGE), None) is not None:
         return []
     try:
         check(config := OmegaConf.create(own), packages=OWN_PACKAGE)

@@ -8,8 +8,7 @@ from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import best_of, preference
 from omniocc.runs.curves import CURVES
-from omniocc.runs.folder import METRICS
-from omniocc.runs.results import FROM_TRAJECTORY
+from omniocc.runs.results import FROM_TRAJECTORY, METRICS
 from omniocc.runs.robustness import TESTS
 from omniocc.runs.scenes import SCENES
 

@@ -10,14 +10,14 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from omniocc.config import GROUPS, fits
 from omniocc.errors import UserError, repr_of
-from omniocc.io import checked_name, parse_yaml, read_short_text
+from omniocc.io import checked_name
 from omniocc.progress import Progress
 from omniocc.report.archive import is_archive
-from omniocc.runs.folder import METRICS, command_of
-from omniocc.runs.renamed import renamed
-from omniocc.runs.results import CANDIDATES, load_results, trajectory_figures
+from omniocc.runs.curves import read_curves
+from omniocc.runs.folder import command_of
+from omniocc.runs.renamed import read_config
+from omniocc.runs.results import CANDIDATES, METRICS, load_results, trajectory_figures
 from omniocc.runs.scenes import scene_figures
 from omniocc.runs.table import class_names
 
@@ -27,8 +27,6 @@ HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 RAY_IOU = "test/rayiou"
 SETTING, UNKNOWN = ("preset", "steps", "data"), "unknown"
 """Facts that must be equal for a comparison, by which the folder of a report is called, and what stands for none."""
-MOST_VOXELS = 2**53
-"""Number of voxels that no grid has: a float tells no larger ones apart."""
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 
 
@@ -82,11 +80,11 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     Raises:
         UserError: when there is none.
     """
-    runs, paths = [], sorted(folder.glob(f"*/{METRICS}"))
-    with Progress("reading runs", len(paths), unit="runs") as progress:
-        for path in paths:
+    runs, folders = [], sorted(path for path in folder.glob("*") if os.path.lexists(path / METRICS))
+    with Progress("reading runs", len(folders), unit="runs") as progress:
+        for path in folders:
             try:
-                runs.append(_read(path.parent))
+                runs.append(_read(path))
             except (UserError, OSError) as error:
                 progress.message(f"left out: {error}")
             progress.advance()
@@ -102,43 +100,20 @@ def _read(folder: Path) -> FinishedRun:
         )
     facts, metrics = load_results(folder)
     if RAY_IOU not in metrics:
-        raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
+        raise UserError(f"{folder / METRICS} has no RayIoU: its test frames have no voxel labels")
     for key in SETTING:
         checked_name(f"{folder / METRICS}: {key}", str(facts.get(key, UNKNOWN)))
-    config = renamed(read_mapping(path)) if (path := folder / "config.yaml").exists() else {}
-    if wrong := [key for key in GROUPS if not isinstance(config.get(key) or {}, dict)]:
-        raise UserError(f"{path} is damaged: {wrong[0]} holds no keys and values")
-    if not _is_grid((config.get("model") or {}).get("geometry", {})):
-        raise UserError(f"{path} is damaged: model.geometry names no grid, or no numbers of cells as its shape")
+    config = read_config(path) if os.path.lexists(path := folder / "config.yaml") else {}
+    read_curves(folder)  # a damaged file is told here, once
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
     return FinishedRun(folder.name, facts, figures, folder, config)
 
 
-def _is_grid(geometry: Any) -> bool:
-    named = isinstance(geometry, dict) and isinstance(geometry.get("_target_", GRID), str)
-    return named and fits(shape := geometry.get("shape", []), list[int]) and 0 <= math.prod(shape) < MOST_VOXELS
-
-
-def read_mapping(path: Path) -> dict[str, Any]:
-    """Return the keys and values of a YAML file; none where it is empty.
-
-    Raises:
-        UserError: when it is no YAML, or holds something else.
-    """
-    try:
-        content = parse_yaml(read_short_text(path)) or {}
-    except ValueError as error:
-        raise UserError(f"{path} is damaged: {error}") from error
-    if not isinstance(content, dict):
-        raise UserError(f"{path} is damaged: it holds no keys and values")
-    return content
-
-
 def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, float]:
     """Return figures that need no test: number of voxels, and the candidates of a sketch that is not a stage."""
     figures = {}
-    if shape := config.get("model", {}).get("geometry", {}).get("shape"):
+    if shape := grid_of(config).get("shape"):
         figures[VOXELS] = float(math.prod(shape))
     if (fraction := facts.get(CANDIDATES)) is not None:
         figures[FRACTION] = float(fraction)
@@ -146,14 +121,19 @@ def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[s
     return figures
 
 
+def grid_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the grid of a configuration, as keys and values; none where it was not saved."""
+    return config.get("model", {}).get("geometry") or {}
+
+
 def grid_kind(config: Mapping[str, Any]) -> str:
     """Return the kind of grid of a run in a word; `GRID` where its configuration was not saved."""
-    return config.get("model", {}).get("geometry", {}).get("_target_", GRID).rsplit(".", 1)[-1].lower()
+    return (grid_of(config).get("_target_") or GRID).rsplit(".", 1)[-1].lower()
 
 
 def grid_name(config: Mapping[str, Any]) -> str:
     """Return kind and shape of the grid that a run predicts, for example `cylinder 64x100x8`."""
-    shape = config.get("model", {}).get("geometry", {}).get("shape", [])
+    shape = grid_of(config).get("shape") or []
     return f"{grid_kind(config)} {'x'.join(map(str, shape))}".strip()
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from omniocc.config import dotted
 from omniocc.errors import UserError
 from omniocc.report.runs import GRID, FinishedRun, grid_kind
-from omniocc.runs.folder import METRICS, OF_MACHINES, VOLATILE, is_clean
-from omniocc.runs.results import FINISHED, PROTOCOL, says_the_same, utc_text
+from omniocc.runs.folder import OF_MACHINES, VOLATILE, is_clean
+from omniocc.runs.results import FINISHED, METRICS, PROTOCOL, says_the_same, utc_text
 from omniocc.runs.table import SCORES
 
 ABSENT = object()

@@ -1,6 +1,8 @@
 """The content of a report: comparable runs with the paper's tables, apart by setting."""
 
 import functools
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -9,6 +11,7 @@ from typing import Any, NamedTuple
 from omegaconf import OmegaConf
 
 from omniocc.config import compose_plain
+from omniocc.errors import UserError
 from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.datasets import (
@@ -33,7 +36,7 @@ from omniocc.report.tables.claims import Judged, Name, verdicts_of
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import SeedStd, load_seed_stds
 from omniocc.runs.curves import read_curve
-from omniocc.runs.folder import METRICS
+from omniocc.runs.results import METRICS
 from omniocc.runs.robustness import Robustness, read_robustness
 from omniocc.runs.rows import FOLDER, known_rows, table_files
 
@@ -166,8 +169,8 @@ class Sweep(NamedTuple):
         own = list(self.rows.values())
         others = {name: runs for name, runs in self.lengths.items() if not any(runs is rows for rows in own)}
         absent = self.not_run
-        more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
-        missing = [f"Not run: {', '.join(absent[:NAMED])}{more}."] if absent else []
+        named = ", ".join(absent) if len(absent) <= NAMED else f"{len(absent)} rows of the tables"
+        missing = [f"Not run: {named}."] if absent else []
         begun = [f"Begun, not finished: {', '.join(self.unfinished)}."] if self.unfinished else []
         return [self.remark, *mixtures(dict(self.rows) | others), *missing, *begun]
 
@@ -272,10 +275,17 @@ def with_training(tests: Sequence[Robustness], runs: Sequence[FinishedRun]) -> l
 
 
 def unfinished(runs: Path) -> list[str]:
-    """Return runs of a folder that have a configuration and no figures yet: still training, or stopped."""
+    """Return runs of a folder that have a configuration and no figures yet: still training, or stopped.
+
+    Those with damaged curves are left out with a warning.
+    """
     found = []
     for path in sorted(runs.glob("*/config.yaml")):
-        if not (path.parent / METRICS).exists():
-            step = max(read_curve(path.parent, "train/loss"), default=0)
+        if not os.path.lexists(path.parent / METRICS):
+            try:
+                step = max(read_curve(path.parent, "train/loss"), default=0)
+            except (UserError, OSError) as error:
+                print(f"left out: {error}", file=sys.stderr, flush=True)
+                continue
             found.append(f"{path.parent.name} (step {step})")
     return found

@@ -20,10 +20,10 @@ from omniocc.draw.canvas import fitted
 from omniocc.errors import shortened
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
-from omniocc.report.chapters import SPREAD, parts_of, report_markdown, write_tables
+from omniocc.report.chapters import SPREAD, parts_with_runs, report_markdown, write_tables
 from omniocc.report.docs import NO_MATPLOTLIB
 from omniocc.report.html import render, webp
-from omniocc.report.runs import FinishedRun, colors_of, grid_kind, path_between
+from omniocc.report.runs import FinishedRun, colors_of, grid_kind, grid_of, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
@@ -31,8 +31,8 @@ from omniocc.report.tables.claims import JUDGES
 from omniocc.report.tables.names import method_names
 from omniocc.report.tables.paper import figure_of, with_error
 from omniocc.report.tables.verdicts import claim_lines
-from omniocc.runs.folder import IMAGES, PAGE, PARTS
-from omniocc.runs.results import MINUTES
+from omniocc.runs.folder import PAGE, PARTS
+from omniocc.runs.results import IMAGES, MINUTES
 from omniocc.runs.table import VOXEL_RAYIOU, markdown
 
 FRAME_NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
@@ -69,9 +69,9 @@ def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedF
     Runs that saved no parts of their sheets are left out with a message.
     """
     frames: dict[tuple[str, str, str], list[Shown]] = {}
-    grids: dict[tuple[str, str, str], list[dict]] = {}
+    grids: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row, runs in rows.items():
-        geometry = runs[0].config.get("model", {}).get("geometry", {})
+        geometry = grid_of(runs[0].config)
         for key, parts in _parts(runs[0].folder / IMAGES):
             new = geometry not in grids.setdefault(key, [])
             grids[key].append(geometry)
@@ -123,6 +123,8 @@ def summary(sweep: Sweep) -> str:
     return "\n".join([*remarks, "", *first_lines(table, 2 + ROWS, "rows"), "", claims if verdicts else ""]).rstrip()
 
 
+FEW = 3
+"""Most rows that stand before all tables: of a newcomer, who looks for them first."""
 FILES = ("config.yaml", "metrics.json", "table.md")
 
 Section = dict[str, Any]
@@ -145,19 +147,17 @@ def page(
         for name, (title, svg) in plots.items()
     ]
     named = [table.name for table in (*sweep.tables, *sweep.datasets)]
+    filled, waiting = parts_with_runs(sweep)
+    link = partial(path_between, folder)
+    runs = [{"kind": "runs", "name": "runs", "title": "Runs", "rows": sweep.rows, "files": FILES, "link": link}]
     sections = [
+        *runs[: len(sweep.rows) <= FEW],
         *drawn[:1],
-        *({"kind": "text_table", "files": part.name in named, **part._asdict()} for part in parts_of(sweep)),
+        *({"kind": "text_table", "files": part.name in named, **part._asdict()} for part in filled),
         *drawn[1:],
         _frames(frames, sweep.runs, folder) if frames else None,
-        {
-            "kind": "runs",
-            "name": "runs",
-            "title": "Runs",
-            "rows": sweep.rows,
-            "files": FILES,
-            "link": partial(path_between, folder),
-        },
+        *runs[len(sweep.rows) <= FEW :],
+        {"kind": "waiting", "name": "waiting", "title": "Tables without a run", "parts": waiting} if waiting else None,
     ]
     content = {
         "remarks": [*sweep.remarks, SPREAD],

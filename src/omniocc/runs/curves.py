@@ -3,11 +3,12 @@
 import csv
 import io
 import math
+import os
 import re
 from pathlib import Path
 
 from omniocc.errors import UserError, repr_of
-from omniocc.io import check_regular
+from omniocc.io import read_bytes, text_of
 
 CURVES = "csv/version_*/metrics.csv"
 """Files of logged metrics in the folder of a run, one for each start."""
@@ -42,20 +43,18 @@ def read_curves(folder: Path) -> dict[str, Curve]:
 
 def curve_files(folder: Path) -> list[Path]:
     """Return the CSV files of a run in the order of its starts; copies in folders of other names are left out."""
-    starts = {path: path.parent.name.removeprefix("version_") for path in folder.glob(CURVES)}
-    return sorted((path for path, start in starts.items() if start.isdecimal()), key=lambda path: int(starts[path]))
+    starts = {path: path.name.removeprefix("version_") for path in folder.glob(f"{Path(CURVES).parent}")}
+    found = [path for path, start in starts.items() if start.isdecimal() and os.path.lexists(path / Path(CURVES).name)]
+    return [path / Path(CURVES).name for path in sorted(found, key=lambda path: int(starts[path]))]
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the complete lines of a CSV file that have a step, as texts by key."""
-    check_regular(path)
+    content = read_bytes(path)
     try:
-        whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} is damaged: it is no text") from error
-    try:
+        whole, end, _ = text_of(content).rpartition("\n")
         rows = list(csv.DictReader(io.StringIO(whole + end, newline="")))
-    except csv.Error as error:
+    except (ValueError, csv.Error) as error:
         raise UserError(f"{path} is damaged: {error}") from error
     whole_rows = (row for row in rows if None not in row and None not in row.values())
     return [row for row in whole_rows if re.fullmatch(r"[0-9]{1,15}", row.get("step", ""))]

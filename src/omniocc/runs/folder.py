@@ -19,14 +19,14 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
 from omniocc.runs.checkpoint_io import LAST, no_checkpoint_message, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
+from omniocc.runs.results import METRICS, load_results
 from omniocc.runs.slots import foreign_code, foreign_packages, sketch_learns
 from omniocc.runs.weights import find_checkpoint
 
-METRICS = "metrics.json"
 STARTED_FROM = "started_from.txt"
 """File with the checkpoint that `resume=` named, written when the run starts from it."""
-IMAGES, PARTS = "images", "parts"
-"""Folder of the sheets that a run draws, and its subfolder of their parts."""
+PARTS = "parts"
+"""Subfolder of `IMAGES`, of the parts of the sheets."""
 PAGE = "view.html"
 """Page with frames to turn, in the folder of a run."""
 VOLATILE = (
@@ -162,7 +162,7 @@ def _has_gone_on_from(path: Path, given: Path) -> bool:
     started, saved = path / STARTED_FROM, path / LAST
     if not (started.is_file() and saved.is_file()):
         return False
-    same = started.read_text() == str(given.resolve())
+    same = started.read_text("utf-8") == str(given.resolve())
     return same and saved.stat().st_mtime_ns > started.stat().st_mtime_ns
 
 
@@ -225,6 +225,12 @@ def git_commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return NO_COMMIT
     return show.stdout.strip()
+
+
+def made_by_other_code(folder: Path) -> str:
+    """Return a phrase that names the commit that trained a finished run; empty if it is that of this code."""
+    trained, own = load_results(folder)[0].get("commit", NO_COMMIT), git_commit()
+    return "" if trained == own else f" (trained by the code of commit {trained}; this is {own})"
 
 
 def is_clean(commit: str | None) -> bool:

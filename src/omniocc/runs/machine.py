@@ -1,6 +1,7 @@
 """The machine of a run, in words."""
 
 import ctypes
+import os
 import platform
 from pathlib import Path
 
@@ -21,9 +22,16 @@ def machine(device: torch.device) -> str:
 
 def processor() -> str:
     """Return the name of the processor, or what Python calls it where Linux does not tell."""
-    lines = CPU_INFO.read_text().splitlines() if CPU_INFO.exists() else []
+    lines = CPU_INFO.read_text("utf-8").splitlines() if CPU_INFO.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.machine()
+
+
+def memory_bytes(device: torch.device) -> int:
+    """Return the whole memory of a GPU, or of this machine."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_properties(device).total_memory
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3

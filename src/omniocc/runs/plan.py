@@ -31,13 +31,17 @@ class Amount(NamedTuple):
     accumulated: int
 
     @property
+    def batches(self) -> int:
+        """Return the batches of a device in an epoch; the last incomplete one is left out."""
+        return self.frames // self.devices // self.batch_size
+
+    @property
     def steps(self) -> int | None:
         """Return the optimiser steps; None if nothing ends them."""
         epochs = LIGHTNING_EPOCHS if self.max_steps < 0 and self.max_epochs is None else self.max_epochs
-        batches = self.frames // self.devices // self.batch_size
         limits = [self.max_steps] if self.max_steps >= 0 else []
         if epochs is not None and epochs >= 0:
-            limits.append(epochs * max(1, math.ceil(batches / self.accumulated)))
+            limits.append(epochs * max(1, math.ceil(self.batches / self.accumulated)))
         return min(limits, default=None)
 
     @property

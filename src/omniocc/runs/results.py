@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,9 +12,10 @@ from omniocc.config import fits
 from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.progress import Status, write_status
-from omniocc.runs.folder import IMAGES, METRICS, git_commit
 from omniocc.runs.table import ORIGINS, as_markdown, as_text
 
+METRICS, IMAGES = "metrics.json", "images"
+"""File with the figures of a run, which marks it as finished, and folder of the sheets that it draws."""
 CANDIDATES = "fraction of candidates"
 """Fact of runs whose sketch is no stage: the fraction of candidates among all voxels."""
 MINUTES = "minutes of training"
@@ -39,6 +41,8 @@ HINTS = {
     **{"stages": dict[str, int], PROTOCOL: dict[str, str], OVERRIDES: list[str], "classes": list[dict[str, Any]]},
 }
 """Types of the facts that a run records beside its figures."""
+LARGEST = 3.5e38
+"""More than any figure is: they are computed in single precision, and the square of one is still a number."""
 
 
 def says_the_same(one: str, other: str) -> bool:
@@ -79,19 +83,23 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
             raise ValueError(f"{wrong[0]} is {repr_of(facts[wrong[0]])}")
         if any("<" in line for line in facts.get(PROTOCOL, {}).values()):  # it is printed into pages as it is
             raise ValueError(f"a line of its {PROTOCOL} has tags")
-        figures = {key: math.nan if value is None else float(value) for key, value in metrics.items()}
-        if wrong := [key for key, value in figures.items() if math.isinf(value)]:
-            raise ValueError(f"{wrong[0]} is infinite")
-        return facts, figures
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        reason = first_line(error)
+        if wrong := [entry for entry in facts.get("classes", []) if not _is_class(entry)]:
+            raise ValueError(f"classes has {repr_of(wrong[0])}")
+        if wrong := [key for key, value in metrics.items() if not _is_figure(value)]:
+            raise ValueError(f"{wrong[0]} is {repr_of(metrics[wrong[0]])}")
+        return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else first_line(error)
         raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
 
 
-def made_by_other_code(folder: Path) -> str:
-    """Return a phrase that names the commit that trained a finished run; empty if it is that of this code."""
-    trained, own = load_results(folder)[0].get("commit", "unknown"), git_commit()
-    return "" if trained == own else f" (trained by the code of commit {trained}; this is {own})"
+def _is_class(entry: Mapping[str, Any]) -> bool:
+    name, rgb = entry.get("name"), entry.get("rgb")
+    return isinstance(name, str) and isinstance(rgb, list) and len(rgb) == 3 and all(part in range(256) for part in rgb)
+
+
+def _is_figure(value: Any) -> bool:
+    return value is None or (fits(value, float) and not abs(value) > LARGEST)
 
 
 def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:
@@ -104,7 +112,7 @@ def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:
     Raises:
         UserError: naming the file, when it is damaged.
     """
-    if not (folder / FROM_TRAJECTORY / METRICS).exists():
+    if not os.path.lexists(folder / FROM_TRAJECTORY / METRICS):
         return {}
     facts, metrics = load_results(folder / FROM_TRAJECTORY)
     if facts.get("data") != data or facts.get(OVERRIDES) != []:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from omniocc.errors import UserError, first_line
+from omniocc.config import fits
+from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, checked_name, parse_json, read_short_text
+from omniocc.runs.results import LARGEST
 
 UNDISTURBED = "undisturbed"
 """Name of the part, and of its group, to which all others are compared."""
@@ -21,6 +24,10 @@ FOLDER = "robustness-"
 TESTS = f"{FOLDER}*/{ROBUSTNESS}"
 """Pattern of these files in the folder of a run; those of shipped weights are in the folder of all runs."""
 RAY_IOU = "rayiou"
+HINTS = {"part": str, "group": str, "scenes": list[str], "frames": int, "seconds": float}
+"""Types of what a part holds beside its scores."""
+FACTS, LEFT_OUT = dict[str, Any], "left out"
+"""Type of the facts of a test, and the one of them that is a list of sentences."""
 WITHIN = "rayiou_within_"
 """Beginning of the keys of RayIoU within nested ranges, which end with the range (`8.5m`)."""
 
@@ -163,7 +170,10 @@ def load_robustness(path: Path) -> Robustness:
     try:
         content = parse_json(read_short_text(path))
         system = checked_name("system", content["system"])
-        return Robustness(system, content["facts"], [_part(part) for part in content["parts"]])
+        facts, parts = content["facts"], [_part(part) for part in content["parts"]]
+        if not (fits(facts, FACTS) and fits(facts.get(LEFT_OUT, []), list[str])) or not parts:
+            raise ValueError(f"its facts are {repr_of(facts)}" if parts else "it has no parts")
+        return Robustness(system, facts, parts)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise UserError(
             f"{path} is damaged ({first_line(error)}); the command that made it writes it again from its parts"
@@ -173,10 +183,11 @@ def load_robustness(path: Path) -> Robustness:
 def read_robustness(runs: Path) -> list[Robustness]:
     """Return all tests in a folder of runs, by name of their system; damaged ones are left out with a warning."""
     found = []
-    for path in sorted([*runs.glob(TESTS), *runs.glob(f"*/{TESTS}")]):
+    folders = [*runs.glob(f"{FOLDER}*"), *runs.glob(f"*/{FOLDER}*")]
+    for path in sorted(folder / ROBUSTNESS for folder in folders if os.path.lexists(folder / ROBUSTNESS)):
         try:
             found.append(load_robustness(path))
-        except UserError as error:
+        except (UserError, OSError) as error:
             print(f"left out: {error}", file=sys.stderr, flush=True)
     return sorted(found, key=lambda record: record.system)
 
@@ -193,9 +204,14 @@ def _plain(part: PartScores) -> dict[str, Any]:
 def _part(content: dict[str, Any]) -> PartScores:
     scores = {key: _float(value) for key, value in content["scores"].items()}
     without = {key: [_float(value) for value in values] for key, values in content["without"].items()}
-    kept = {name: content[name] for name in ("part", "group", "scenes", "frames", "seconds")}
+    kept = {name: content[name] for name in HINTS}
     for name in ("part", "group"):
         checked_name(name, kept[name])
+    if wrong := [name for name, hint in HINTS.items() if not fits(kept[name], hint)]:
+        raise ValueError(f"{wrong[0]} is {repr_of(kept[wrong[0]])}")
+    counts = {len(kept["scenes"]), 0 if len(kept["scenes"]) == 1 else None}  # without its only scene nothing is left
+    if wrong := [key for key in scores if len(without[key]) not in counts]:
+        raise ValueError(f"without.{wrong[0]} is not one number for each scene")
     return PartScores(**kept, scores=scores, without=without)
 
 
@@ -204,4 +220,6 @@ def _number(value: float) -> float | None:
 
 
 def _float(value: float | None) -> float:
+    if not (value is None or fits(value, float)) or abs(value or 0) > LARGEST:
+        raise ValueError(f"a score is {repr_of(value)}")
     return math.nan if value is None else float(value)

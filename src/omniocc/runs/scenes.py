@@ -1,6 +1,7 @@
 """Counts of rays of every test scene in a file of the run, and the scores of groups of scenes that follow from them."""
 
 import json
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import Any
 
 import torch
 
-from omniocc.errors import UserError, first_line
+from omniocc.config import fits
+from omniocc.errors import UserError, first_line, in_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from rayiou.ray_counts import RayCounts, ray_scores
 
@@ -19,6 +21,10 @@ Lines = list[list[int]]
 """Numbers of rays by class: true, predicted, and correct at each threshold."""
 Counted = dict[str, Lines]
 """Counts of a scene by kind of rays."""
+HINTS = {"classes": list[str], "thresholds_m": list[float], "scenes": dict[str, dict[str, Any]]}
+"""Types of what the file holds."""
+MOST_RAYS = 2**53
+"""Rays that no scene has: a sum of more is not exact."""
 
 
 def save_scenes(
@@ -81,7 +87,25 @@ def without_each_scene(folder: Path, kind: str) -> dict[str, float]:
 
 def _read(folder: Path) -> Any:
     path = folder / SCENES
-    return parse_json(read_short_text(path)) if path.exists() else None
+    if not os.path.lexists(path):
+        return None
+    content = parse_json(read_short_text(path))
+    if wrong := [key for key, hint in HINTS.items() if not fits(content[key], hint)]:
+        raise ValueError(f"{wrong[0]} is {repr_of(content[wrong[0]])}")
+    shape = (2 + len(content["thresholds_m"]), len(content["classes"]))
+    for name, scene in content["scenes"].items():
+        if not fits(scene["conditions"], dict[str, str]):
+            raise ValueError(f"the conditions of {in_line(name)} are {repr_of(scene['conditions'])}")
+        if wrong := [kind for kind in (RAYS, LIDAR, MOVING) if kind in scene and not _are_counts(scene[kind], shape)]:
+            lines = f"{shape[0]} lines of {shape[1]} numbers"
+            raise ValueError(f"the counts of {in_line(name)}, {wrong[0]}, are not {lines}")
+    return content
+
+
+def _are_counts(lines: Any, shape: tuple[int, int]) -> bool:
+    numbers = fits(lines, Lines) and [number for line in lines for number in line]
+    known = bool(numbers) and min(numbers) >= 0 and max(numbers) < MOST_RAYS
+    return known and list(map(len, lines)) == [shape[1]] * shape[0]
 
 
 @contextmanager

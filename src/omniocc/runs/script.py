@@ -1,16 +1,20 @@
 """Common parts of scripts: configuration from the command line, one-line errors, quiet libraries."""
 
+import codecs
 import functools
 import inspect
 import logging
 import os
 import re
 import select
+import signal
 import sys
+import unicodedata
 import warnings
 from argparse import Action, ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
+from io import TextIOWrapper
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
@@ -22,35 +26,83 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
-from omniocc.errors import UserError
+from omniocc.errors import INTERRUPTED, UserError
 from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
 T = TypeVar("T")
 OUTPUT = 1
 """File descriptor of what is printed."""
+SUBSTITUTE = "omniocc.substitute"
+"""Name of the error handler of codecs that writes other characters for those an encoding lacks."""
+SUBSTITUTES = {"–": "-", "—": "-", "±": "+/-", "×": "x", "μ": "u", "µ": "u", "°": " deg", "✓": "yes"}
+SUBSTITUTES |= {"✅": "yes", "☑": "(yes)", "❌": "no"}
+"""What is written for characters of our texts; others are decomposed (… is ...), or become a question mark."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
+LOADER_KILLED = re.compile(r"DataLoader worker \(pid.*\) (exited unexpectedly|is killed by signal)")
+"""PyTorch's message when a process that reads samples is gone."""
 
 
-def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a script's main: users' mistakes end it with only the message and exit code 1.
+def lines_not_tracebacks(main: Callable[..., None], again: str = "") -> Callable[..., None]:
+    """Decorate a script's main: users' mistakes end it with only the message and exit code 1, Ctrl-C with 130.
 
-    Credentials in the configuration or command line are refused before it runs, see `refuse_credentials`.
+    Credentials in the configuration or command line are refused before it runs, see `refuse_credentials`. What it
+    prints is written to terminals of any encoding, see `substitute`. `again` says after Ctrl-C what the same command
+    does.
     """
 
     @functools.wraps(main)
     def wrapped(*args: Any) -> None:
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):
+                stream.reconfigure(errors=SUBSTITUTE)
         try:
             refuse_credentials([*args, sys.argv[1:]])
             main(*args)
         except (UserError, OSError) as error:
             if not (isinstance(error, BrokenPipeError) and output_is_closed()):
                 sys.exit(str(error))
+        except RuntimeError as error:
+            if not LOADER_KILLED.match(str(error)):
+                raise
+            sys.exit(
+                "a process that reads the data was killed (out of memory?). Run the same command again, perhaps with a "
+                "smaller data.num_workers; a training goes on from its checkpoint"
+            )
+        except (KeyboardInterrupt, SystemExit) as end:
+            if not is_ctrl_c(end):
+                raise
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # a second one ends at once
+            print("; ".join(filter(None, ["stopped by Ctrl-C", again])), file=sys.stderr)
+            sys.exit(INTERRUPTED)
         finally:
             output_is_closed()
 
     return wrapped
+
+
+def substitute(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return what is written for characters that the encoding of a terminal or log lacks; an error handler of codecs.
+
+    A letter loses its accent. Bytes of a file name that no character stands for are written as they are.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    character = error.object[error.start]
+    if "\udc80" <= character <= "\udcff":
+        return bytes([ord(character) - 0xDC00]), error.start + 1
+    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+    return SUBSTITUTES.get(character, plain or "?"), error.start + 1
+
+
+codecs.register_error(SUBSTITUTE, substitute)
+
+
+def is_ctrl_c(end: BaseException) -> bool:
+    """Return whether Ctrl-C has raised this, or Lightning's exit with code 1 that hides it."""
+    lightning = isinstance(end, SystemExit) and end.code == 1 and isinstance(end.__context__, KeyboardInterrupt)
+    return lightning or isinstance(end, KeyboardInterrupt)
 
 
 def output_is_closed() -> bool:
@@ -63,12 +115,13 @@ def output_is_closed() -> bool:
     return True
 
 
-def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
+def script(config_name: str, again: str = "") -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
     """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
 
     Users' mistakes end the script with only the message and exit code 1; for overrides it names the nearest keys or
     options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
-    multirun inherit that variable, so that their log files hold whole tracebacks.
+    multirun inherit that variable, so that their log files hold whole tracebacks. `again` says after Ctrl-C what the
+    same command does.
     """
 
     def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
@@ -78,7 +131,7 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
         def task(cfg: DictConfig) -> None:
             if setting is None:
                 os.environ.pop(FULL_ERROR, None)  # later errors are reported as usual
-            lines_not_tracebacks(main)(cfg)
+            lines_not_tracebacks(main, again)(cfg)
 
         run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
         setting = os.environ.get(FULL_ERROR)

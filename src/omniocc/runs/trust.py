@@ -72,7 +72,7 @@ def offered(conf: Path = CONF) -> Offered:
         )
     found = Offered(defaultdict(set), {})
     for path in sorted(conf.rglob("*.yaml")):
-        if path.read_text().startswith(GLOBAL):
+        if path.read_text("utf-8").startswith(GLOBAL):
             for root, node in (read_yaml(path) or {}).items():
                 _collect(node, root, found)
         elif root := next((root for root, folder in GROUPS.items() if path.is_relative_to(conf / folder)), None):
@@ -176,7 +176,7 @@ def building(path: Path, weights: Mapping[str, Tensor]) -> Iterator[None]:
         UserError: when something goes wrong.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    used = int(Path("/proc/self/statm").read_text("utf-8").split()[0]) * resource.getpagesize()
     stored = {data.data_ptr(): data.nbytes() for data in (value.untyped_storage() for value in weights.values())}
     most = used + SPARE_BYTES + 16 * sum(stored.values())
     resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))

@@ -9,6 +9,8 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import nn
 
+from omniocc.bounds import Fraction, NumberOrNone, Rate, Weight
+
 
 def warmup_cosine(step: int, warmup_steps: int, total_steps: int, min_lr_ratio: float) -> float:
     """Return the learning rate at `step` as a fraction of its peak."""
@@ -35,10 +37,10 @@ class AdamW:
         min_lr_ratio: learning rate as a fraction of `learning_rate` towards which the last steps fall.
     """
 
-    learning_rate: float
-    warmup_steps: int
-    weight_decay: float
-    min_lr_ratio: float
+    learning_rate: Rate
+    warmup_steps: NumberOrNone
+    weight_decay: Weight
+    min_lr_ratio: Fraction
 
     def configure(
         self, model: nn.Module, total_steps: int, factors: Mapping[str, float] | None = None

@@ -1,6 +1,8 @@
 """The occupancy task of a configuration, and what is checked of it before anything is made."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import OmegaConf
@@ -12,7 +14,9 @@ from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
 from omniocc.model.protocols import Lifter
 from omniocc.parts import Parts
+from omniocc.runs.machine import memory_bytes
 from omniocc.train.occupancy import OccupancyTask
+from omniocc.train.stage_keys import wanted_stages
 
 MACHINE = ("accelerator", "devices", "strategy")
 """Arguments of the trainer that a machine may not have."""
@@ -26,12 +30,46 @@ def check_devices(parts: Parts) -> None:
     """
     try:
         parts.trainer()
-    except MisconfigurationException as error:
+    except (MisconfigurationException, MemoryError, TypeError, ValueError) as error:
         reason, trainer = first_line(error), parts.cfg.trainer
         named = [key for key in trainer if str(key) in reason and key not in MACHINE]
         asked = " ".join(f"trainer.{key}={trainer[key]}" for key in named or MACHINE)
         who = "the trainer" if named else "this machine"
         raise UserError(f"{asked}: {who} cannot do that ({reason})") from error
+
+
+def check_memory(parts: Parts) -> None:
+    """Check that the machine can hold the arrays of a step that no option of the model avoids.
+
+    Raises:
+        UserError: naming the keys of one that needs more than all memory, with both figures.
+    """
+    most = memory_bytes(parts.trainer().strategy.root_device)
+    for keys, needed in least_bytes(parts.config, wanted_stages(parts.cfg)):
+        if needed > most:
+            sizes = f"at least {needed / 2**30:,.0f} GiB, and there are {most / 2**30:,.0f} GiB of memory"
+            raise UserError(f"{keys}: one step takes {sizes}; choose smaller numbers")
+
+
+def least_bytes(config: Mapping[str, Any], stages: Sequence[str]) -> Iterator[tuple[str, int]]:
+    """Yield the keys and bytes of an array in a step of every stage: ranges, logits of cells, half-precision features.
+
+    Parts of others may lack the keys: what a configuration does not say counts as 1.
+    """
+    shape = config["data"]["geometry"].get("shape", [])
+    cells, grid = math.prod(shape), f"model.geometry.shape={shape}"
+    batch = {stage: config["stages"][stage]["batch_size"] for stage in stages}
+    if "depth" in batch:
+        panorama = config["depth"].get("panorama") or {}
+        width, height = panorama.get("width", 1), panorama.get("height", 1)
+        keys = f"stages.depth.batch_size={batch['depth']} depth.panorama.width={width} depth.panorama.height={height}"
+        yield keys, 4 * batch["depth"] * width * height
+    if "sketch" in batch:
+        yield f"stages.sketch.batch_size={batch['sketch']} {grid}", 4 * batch["sketch"] * cells
+    if "occupancy" in batch:
+        channels = config["model"]["lifter"].get("channels", 1)
+        keys = f"data.batch_size={batch['occupancy']} {grid} model.lifter.channels={channels}"
+        yield keys, 2 * batch["occupancy"] * cells * channels
 
 
 def without_unused_head(parts: Parts, scenes: Sequence[SceneFrames]) -> tuple[Parts, str | None]:

@@ -12,6 +12,7 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback, Checkpoint, ProgressBar
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
+from omniocc.errors import INTERRUPTED
 from omniocc.progress import Progress
 
 
@@ -146,10 +147,15 @@ class LastCheckpoint(Checkpoint):
 
 STOP = signal.SIGUSR2
 """Signal that comes some time before the limit: `hydra/launcher=slurm` asks for it."""
+CTRL_C = "Ctrl-C"
+ERRORS = 2
+"""File descriptor of what is printed about errors."""
 
 
 class StopAtSignal(Checkpoint):
-    """After SIGUSR2 or SIGTERM save a checkpoint at the end of the step, in all processes at once, and end the script.
+    """After SIGUSR2, SIGTERM or Ctrl-C save a checkpoint at the end of the step, and end the script.
+
+    All processes do so at once. A second Ctrl-C ends the process at once; so does the first where several train.
 
     A validation that follows the step is done first. It is a checkpoint callback, since Lightning calls these after all
     others, so that averages of weights have seen the step.
@@ -162,14 +168,18 @@ class StopAtSignal(Checkpoint):
 
     def __init__(self, path: Path):
         self.path = path
-        self._told = False
-        self._earlier: Any = None
+        self._told: str | None = None
+        self._earlier: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
-        self._earlier = signal.signal(STOP, self._note)
+        # behind nohup or & Ctrl-C is ignored, and it stays so
+        alone = trainer.world_size == 1 and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+        heard = (STOP, signal.SIGINT) if alone else (STOP,)
+        self._earlier = {number: signal.signal(number, self._note) for number in heard}
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
-        signal.signal(STOP, self._earlier)
+        for number, handler in self._earlier.items():
+            signal.signal(number, handler)
 
     def on_train_batch_end(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -184,9 +194,12 @@ class StopAtSignal(Checkpoint):
 
     def _stop(self, trainer: Trainer) -> None:
         trainer.save_checkpoint(self.path)
-        name = "SIGUSR2" if self._told else "SIGTERM"
-        first = trainer.is_global_zero
-        sys.exit(f"stopped by {name} at step {trainer.global_step}; the same command goes on" if first else "")
+        name = self._told or "SIGTERM"
+        line = f"stopped by {name} at step {trainer.global_step}; the same command goes on"
+        if name == CTRL_C:
+            print(line, file=sys.stderr, flush=True)
+            sys.exit(INTERRUPTED)
+        sys.exit(line if trainer.is_global_zero else "")
 
     def on_exception(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
@@ -194,12 +207,18 @@ class StopAtSignal(Checkpoint):
         if isinstance(exception, SIGTERMException):  # between steps, or in one process of several
             message = f"ended by SIGTERM after step {trainer.global_step}; the same command goes on from its checkpoint"
             exception.code = message if trainer.is_global_zero else ""
+        if self._told != CTRL_C and signal.SIGINT in self._earlier:
+            signal.signal(signal.SIGINT, self._earlier[signal.SIGINT])
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self._told = True
+        self._told = CTRL_C if number == signal.SIGINT else "SIGUSR2"
+        if self._told == CTRL_C:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            # not by `print`, which may be interrupted in the middle of a line and must not be called again then
+            os.write(ERRORS, b"\nCtrl-C: a checkpoint is saved after this step; a second Ctrl-C ends at once\n")
 
     def _all_told(self, trainer: Trainer) -> bool:
         """Return whether a signal has reached any process; outside of Slurm only one process is asked."""
         if trainer.world_size > 1 and "SLURM_JOB_ID" not in os.environ:
             return False
-        return trainer.strategy.reduce_boolean_decision(self._told or trainer.received_sigterm, all=False)
+        return trainer.strategy.reduce_boolean_decision(bool(self._told) or trainer.received_sigterm, all=False)

@@ -13,7 +13,9 @@ from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
 from omniocc.config import check_root
 from omniocc.data import OccupancyData
-from omniocc.data.source.cameras import training_frames, training_rig
+from omniocc.data.source import MadeScenes, SceneSource
+from omniocc.data.source.cameras import frames_in, training_frames, training_rig
+from omniocc.errors import UserError
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
 from omniocc.runs.distributed import is_first
@@ -21,7 +23,7 @@ from omniocc.runs.folder import given_checkpoint
 from omniocc.runs.machine import keep_freed_memory
 from omniocc.runs.plan import hours_line
 from omniocc.runs.slots import slots_line
-from omniocc.train.build import build_task, check_devices, line_on_lifter, without_unused_head
+from omniocc.train.build import build_task, check_devices, check_memory, line_on_lifter, without_unused_head
 from omniocc.train.stage import Stage, announce
 from omniocc.train.stage_keys import wanted_stages
 from omniocc.train.stages import EarlierStage, stages_of
@@ -38,6 +40,7 @@ def train(cfg: DictConfig) -> None:
     keep_freed_memory()
     parts = Parts(cfg)
     check_devices(parts)
+    check_memory(parts)
     data = parts.data()
     data.check_classes()
     last = "occupancy" in wanted_stages(cfg)
@@ -46,10 +49,13 @@ def train(cfg: DictConfig) -> None:
         print(f"{'model':10}{slots_line(parts.config)}")
         announce_plan(stages_of(parts, data), training_frames(data.source), timed=True)
         return
+    if isinstance(data.source, MadeScenes):
+        check_frames(stages_of(parts, data), data.source)
     data.prepare_data()
     scenes = data.source.scenes("train")
     parts, without_head = without_unused_head(parts, scenes)
     stages, frames = stages_of(parts, data), sum(map(len, scenes))
+    check_frames(stages, data.source)
     if last and (given := given_checkpoint(cfg.resume)) is not None:
         check_resumed(given, parts.config, stages[-1].amount(frames, parts.trainer()).steps)
     for line in filter(None, (without_head, lifter, *data.remarks())):
@@ -72,6 +78,26 @@ def check_last(parts: Parts, data: OccupancyData) -> str | None:
     if (weights := parts.cfg.stages.occupancy.weights) is not None:
         check_weights(weights, parts.cfg.resume)
     return line_on_lifter(build_task(parts, data.spec).model.lifter, data.geometry)
+
+
+def check_frames(stages: Sequence[Stage], source: SceneSource) -> None:
+    """Check that every split has frames, and training enough for a batch of every stage that is trained.
+
+    Raises:
+        UserError: naming the split or the stage.
+    """
+    trainer, frames = stages[0].parts.trainer(), training_frames(source)
+    for split in ("val", "test"):
+        if not frames_in(source, split):
+            raise UserError(f"the split '{split}' has no frames, but every stage is scored on it: give it scenes")
+    for stage in stages:
+        amount, key = stage.amount(frames, trainer), f"stages.{stage.NAME}.batch_size"
+        if stage.learns and stage.recipe.max_steps and not amount.batches:
+            raise UserError(
+                f"{'data.batch_size' if stage.NAME == 'occupancy' else key}={amount.batch_size}: there are {frames} "
+                f"training frames for {amount.devices} device{'s' * (amount.devices > 1)}, less than a batch for each; "
+                "use more scenes or a smaller batch"
+            )
 
 
 def announce_plan(stages: Sequence[Stage], frames: int, timed: bool = False) -> None:

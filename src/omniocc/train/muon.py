@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.bounds import Kept
 from omniocc.train.adamw import AdamW
 
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
@@ -27,7 +28,7 @@ class Muon(AdamW):
         momentum: fraction of the running mean of gradients that is kept in each step.
     """
 
-    momentum: float = 0.95
+    momentum: Kept = 0.95
 
     def optimizer(self, groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
         """Return the optimiser of parameters in groups."""

@@ -21,14 +21,14 @@ from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.runs.cost import PEAK, peak_mib
 from omniocc.runs.distributed import barrier, is_first
-from omniocc.runs.folder import METRICS, command_line, git_commit
+from omniocc.runs.folder import command_line, git_commit, made_by_other_code
 from omniocc.runs.machine import MACHINE, machine
 from omniocc.runs.plan import Amount, validation_times
 from omniocc.runs.results import (
     FINISHED,
+    METRICS,
     MINUTES,
     load_results,
-    made_by_other_code,
     save_results,
     show_results,
     utc_text,

@@ -13,6 +13,7 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
+from omniocc.bounds import Limit, Number
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint import CONFIG, STAGE
 from omniocc.train.adamw import AdamW
@@ -36,10 +37,10 @@ class Recipe:
             `max_steps` 0 depth and sketch use it as it is.
     """
 
-    max_steps: int
-    max_epochs: int | None
-    batch_size: int
-    validate_every_n_epochs: int | None
+    max_steps: Limit
+    max_epochs: Limit | None
+    batch_size: Number
+    validate_every_n_epochs: Number | None
     seed: int
     optimizer: AdamW
     weights: str | None = None

@@ -34,8 +34,8 @@ from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import LAST, resumable
 from omniocc.runs.cost import cost_of, cost_of_network
 from omniocc.runs.distributed import is_first
-from omniocc.runs.folder import IMAGES, open_run, run_hash
-from omniocc.runs.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results
+from omniocc.runs.folder import open_run, run_hash
+from omniocc.runs.results import CANDIDATES, EARLIER_MINUTES, IMAGES, MINUTES, PROTOCOL, load_results
 from omniocc.runs.slots import depth_learns, uses_evidence
 from omniocc.runs.wandb.loggers import log_earlier_stages
 from omniocc.train.build import build_task

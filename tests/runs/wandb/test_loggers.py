@@ -2,22 +2,34 @@
 
 import json
 import math
+import os
+import shutil
+import signal
 import time
 from collections import Counter
 from math import nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import wandb
-from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 from offline_file import STEP, files_of, history, records, runs_in, summary
 from torch.utils.data import DataLoader
 
 from omniocc.errors import UserError
 from omniocc.runs.wandb import Loggers
-from omniocc.runs.wandb.loggers import finish, log_earlier_stages, log_file, result_tables, rows_in_csv, wandb_of
+from omniocc.runs.wandb.loggers import (
+    WandbCurves,
+    finish,
+    log_earlier_stages,
+    log_file,
+    result_tables,
+    rows_in_csv,
+    wandb_of,
+)
 from omniocc.runs.wandb.media import MediaItem
 
 CONFIG = {
@@ -57,12 +69,15 @@ class Line(LightningModule):
         return torch.optim.SGD(self.parameters(), lr=0.1)
 
 
-def trainer_of(folder):
+def trainer_of(folder, *callbacks):
     return Trainer(
         max_steps=STEPS,
         accelerator="cpu",
         logger=Loggers("offline", "p", "tiny", ["x"]).build(folder, CONFIG, "occupancy"),
-        callbacks=[ModelCheckpoint(folder, "last", every_n_train_steps=CHECKPOINT_EVERY, enable_version_counter=False)],
+        callbacks=[
+            ModelCheckpoint(folder, "last", every_n_train_steps=CHECKPOINT_EVERY, enable_version_counter=False),
+            *callbacks,
+        ],
         log_every_n_steps=1,
         num_sanity_val_steps=0,
         enable_progress_bar=False,
@@ -267,3 +282,85 @@ def test_a_file_is_kept_as_an_artifact(tmp_path):
     artifacts = [record.artifact for record in records(found) if record.HasField("artifact")]
     assert [(one.name, one.type) for one in artifacts] == [("ours-1-view.rrd", "view")]
     assert [entry.path for entry in artifacts[0].manifest.contents] == ["view.rrd"]
+
+
+class AtStep(Callback):
+    """Does something to W&B in the middle of a training."""
+
+    def __init__(self, harm):
+        self.harm = harm
+
+    def on_train_batch_start(self, trainer, *_):
+        if trainer.global_step == FAILS_AT:
+            self.harm(trainer)
+
+
+def kill_core(trainer):
+    """Kill W&B's process, as the system does where memory ends."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words, parent = (
+                (folder / "cmdline").read_bytes(),
+                (folder / "stat").read_text().rpartition(")")[2].split()[1],
+            )
+        except OSError:  # it has just ended
+            continue
+        if b"wandb-core" in words and int(parent) == os.getpid():
+            found.append(int(folder.name))
+    assert found
+    for process in found:
+        os.kill(process, signal.SIGKILL)
+    time.sleep(0.5)
+
+
+def spoil_folder(trainer):
+    """Let W&B's folder take no more images, as a full disk does."""
+    (curves,) = wandb_of(trainer.loggers)
+    media = Path(curves.experiment.dir, "media")
+    shutil.rmtree(media)
+    media.write_text("", encoding="utf-8")
+
+
+class Drawn(Callback):
+    def on_validation_end(self, trainer, *_):
+        for curves in wandb_of(trainer.loggers):
+            curves.log_media({"val/image": [MediaItem(np.zeros((4, 4, 3), np.uint8), "x")]}, trainer.global_step)
+
+
+@pytest.fixture
+def not_lost(monkeypatch):
+    monkeypatch.setattr(WandbCurves, "lost", False)
+    yield
+    wandb.run = None  # W&B keeps one whose process is gone, which later tests would use
+
+
+@pytest.mark.usefixtures("not_lost")
+@pytest.mark.parametrize("harm", [None, kill_core, spoil_folder])
+def test_a_training_outlives_wandb_and_says_so_once(tmp_path, monkeypatch, capsys, harm):
+    if harm is None:
+        monkeypatch.setenv("WANDB_DATA_DIR", "/dev/null/data")  # as if HOME could not be written
+    folder = tmp_path / "mono-0"
+    folder.mkdir()
+    trainer = trainer_of(folder, Drawn(), *([] if harm is None else [AtStep(harm)]))
+    many, one = DataLoader(torch.ones(PER_EPOCH)), DataLoader(torch.ones(1))
+    trainer.fit(Line(), many, one)
+    trainer.test(trainer.lightning_module, one, verbose=False)
+    finish(trainer.loggers)
+    printed = capsys.readouterr()
+    (line,) = [line for line in printed.out.splitlines() if "W&B is left out" in line]
+    assert "WANDB_DATA_DIR can be written, or give logger.mode=disabled" in line
+    assert "Traceback" not in printed.out + printed.err
+    assert {step for step, key in rows_in_csv(folder) if key == "train/loss"} == set(range(STEPS))
+    assert (STEPS, "test/rayiou/Road") in rows_in_csv(folder)
+    assert not wandb_of(trainer.loggers)
+    assert not wandb_of(Loggers("offline", "p", None, []).build(folder, CONFIG, "occupancy"))
+
+
+@pytest.mark.usefixtures("not_lost")
+def test_a_mistake_of_ours_in_what_is_logged_is_raised(tmp_path):
+    (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path, CONFIG, "occupancy"))
+    with pytest.raises(ValueError, match="shape"):
+        curves.log_media({"val/image": [MediaItem(np.zeros((4, 4, 7), np.uint8), "x")]}, 1)
+    assert wandb_of([curves]) == [curves]
+    curves.finish()

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
+from omniocc.bounds import Size
 from omniocc.camera.ops.pixels import in_image, pixel_centers
 from omniocc.camera.protocol import check_fields, finite
 
@@ -25,8 +26,8 @@ class Equirectangular:
         bottom_deg: elevation of the image's lower edge.
     """
 
-    width: int
-    height: int
+    width: Size
+    height: Size
     top_deg: float
     bottom_deg: float
 

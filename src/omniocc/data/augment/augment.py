@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.bounds import Degrees
 from omniocc.camera import Rig
 from omniocc.camera.models.mirrored import mirrored
 from omniocc.classes import UNKNOWN
@@ -197,7 +198,7 @@ class Augment:
         brightness: float,
         contrast: float,
         saturation: float,
-        hue_deg: float,
+        hue_deg: Degrees,
         flip_probability: float,
         yaw_probability: float,
         drop_past_probability: float,

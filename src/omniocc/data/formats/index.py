@@ -73,7 +73,7 @@ class Index(Generic[Arrays]):
     @cached_property
     def _listed(self) -> list[list[str]]:
         try:
-            return json.loads((self.folder / NAMES).read_text())
+            return json.loads((self.folder / NAMES).read_text("utf-8"))
         except (OSError, ValueError) as error:
             raise DataError(f"{self.folder / NAMES}: the index cannot be read ({error}); remove the folder") from error
 

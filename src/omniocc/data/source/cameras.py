@@ -1,7 +1,7 @@
 """What is known of a source's training frames, also of one whose scenes are not there yet."""
 
 from omniocc.camera import Rig
-from omniocc.data.source import MadeScenes, SceneSource
+from omniocc.data.source import MadeScenes, SceneSource, Split
 from omniocc.errors import UserError
 
 
@@ -24,8 +24,13 @@ def first_rig(source: SceneSource) -> Rig:
     return scenes[0].rigs[0]
 
 
+def frames_in(source: SceneSource, split: Split) -> int:
+    """Return the number of a source's frames in a split."""
+    if isinstance(source, MadeScenes):
+        return sum(source.planned(split).values())
+    return sum(map(len, source.scenes(split)))
+
+
 def training_frames(source: SceneSource) -> int:
     """Return the number of a source's training frames."""
-    if isinstance(source, MadeScenes):
-        return sum(source.planned("train").values())
-    return sum(map(len, source.scenes("train")))
+    return frames_in(source, "train")

@@ -197,7 +197,7 @@ class SSCBenchSequence(CompletionScene):
     def _found_frames(self) -> dict[int, int]:
         """Return the number in KITTI-360 of the frames that were found; none where the file is missing or damaged."""
         try:
-            return {int(ours): int(theirs) for ours, theirs in json.loads(self.found.read_text()).items()}
+            return {int(ours): int(theirs) for ours, theirs in json.loads(self.found.read_text("utf-8")).items()}
         except (OSError, ValueError, AttributeError):
             return {}
 

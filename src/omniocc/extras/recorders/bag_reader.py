@@ -153,7 +153,7 @@ def _readable(folder: Path) -> Iterator[Path]:
             files = [Path(made) / file.stem for file in files]
             paths = [PurePath(name).stem for name in names]
             plain = {**stated, "relative_file_paths": paths, "compression_mode": "", "compression_format": ""}
-            (Path(made) / place.name).write_text(json.dumps({"rosbag2_bagfile_information": plain}))
+            (Path(made) / place.name).write_text(json.dumps({"rosbag2_bagfile_information": plain}), "utf-8")
         for file in files:
             _check_file(file)
         yield Path(made)

@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
+from omniocc.bounds import Size
 from omniocc.camera import Rig
 from omniocc.geometry import Grid, center_cell_indices
 from omniocc.model.ops.padded import FeatureMaps
@@ -30,7 +31,7 @@ class BiGrid(nn.Module):
     index: Tensor
     """Cell of the second grid that the middle of each voxel lies in; the number of its cells where it is outside."""
 
-    def __init__(self, geometry: Grid, second: Grid | None, in_channels: int, channels: int, levels: list[int]):
+    def __init__(self, geometry: Grid, second: Grid | None, in_channels: Size, channels: Size, levels: list[int]):
         super().__init__()
         self.channels, self.strides = channels, list(levels)
         self.grids = [geometry] if second is None else [geometry, second]

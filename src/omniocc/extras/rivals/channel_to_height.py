@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import CountOrNone, Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import Periodic, ResidualPair, check_halvings, pad3d, upsample_view
@@ -45,7 +46,9 @@ class ChannelToHeight(nn.Module):
         ValueError: if channels, blocks and periodic axes do not fit together.
     """
 
-    def __init__(self, geometry: Grid, in_channels: int, channels: int, view_channels: list[int], blocks: list[int]):
+    def __init__(
+        self, geometry: Grid, in_channels: Size, channels: Size, view_channels: list[Size], blocks: list[CountOrNone]
+    ):
         super().__init__()
         if len(view_channels) != len(blocks) or not blocks:
             raise ValueError(f"channels {view_channels} and blocks {blocks} must be one number each for every level")

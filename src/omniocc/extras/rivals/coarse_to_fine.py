@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera import Rig
 from omniocc.classes import FREE
 from omniocc.geometry import Grid
@@ -51,18 +52,18 @@ class CoarseToFine(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        in_channels: int,
-        channels: int,
+        in_channels: Size,
+        channels: Size,
         levels: list[int],
-        bins: int,
+        bins: Size,
         range_m: Interval,
-        layers: list[int],
-        heads: int,
-        points: list[int],
-        feedforward_channels: int,
+        layers: list[Count],
+        heads: Count,
+        points: list[Count],
+        feedforward_channels: Size,
         threshold: float,
         most: Sequence[float | int],
-        num_classes: int,
+        num_classes: Size,
     ):
         super().__init__()
         if not layers or len(points) != len(layers) or len(most) != len(layers) - 1:

@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Count, Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import Periodic, Pointwise, pad3d
@@ -33,7 +34,7 @@ class Experts(Pyramid):
             into groups.
     """
 
-    def __init__(self, geometry: Grid, in_channels: int, channels: list[int], experts: int, num_classes: int):
+    def __init__(self, geometry: Grid, in_channels: Size, channels: list[Size], experts: Count, num_classes: Size):
         if experts < 1:
             raise ValueError(f"experts is {experts}; at least one is needed")
         super().__init__(geometry, in_channels, channels, lambda width, periodic: ExpertBlock(width, periodic, experts))

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import CountOrNone, Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.multilinear import sum_samples
 from omniocc.model.ops.norm import group_norm
@@ -37,7 +38,7 @@ class Focus(nn.Module):
         ValueError: as `Conv`.
     """
 
-    def __init__(self, geometry: Grid, in_channels: int, channels: list[int], blocks: list[int]):
+    def __init__(self, geometry: Grid, in_channels: Size, channels: list[Size], blocks: list[CountOrNone]):
         super().__init__()
         self.encoder = Conv(geometry, in_channels, channels, blocks)
         self.periodic, self.channels = geometry.periodic, channels[0]

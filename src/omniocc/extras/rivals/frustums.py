@@ -7,6 +7,7 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Size
 from omniocc.classes import UNKNOWN
 from omniocc.geometry import Grid
 
@@ -40,7 +41,7 @@ class Frustums(nn.Module):
 
     frustum: Tensor
 
-    def __init__(self, geometry: Grid, azimuths: int, elevations: int):
+    def __init__(self, geometry: Grid, azimuths: Size, elevations: Size):
         super().__init__()
         if azimuths < 1 or elevations < 1:
             raise ValueError(f"azimuths is {azimuths}, elevations {elevations}; both must be positive")

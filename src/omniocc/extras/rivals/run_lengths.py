@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Weight
 from omniocc.classes import UNKNOWN
 from omniocc.geometry import Grid
 
@@ -73,7 +74,7 @@ class RunLengths(nn.Module):
         ValueError: if a weight is negative.
     """
 
-    def __init__(self, geometry: Grid, zero_weight: float, other_weight: float):
+    def __init__(self, geometry: Grid, zero_weight: Weight, other_weight: Weight):
         super().__init__()
         if zero_weight < 0 or other_weight < 0:
             raise ValueError(f"weights are {zero_weight} and {other_weight}; they must not be negative")

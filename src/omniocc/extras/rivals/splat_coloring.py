@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
@@ -44,16 +45,16 @@ class SplatColoring(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        in_channels: int,
-        channels: int,
+        in_channels: Size,
+        channels: Size,
         levels: list[int],
-        bins: int,
+        bins: Size,
         range_m: Interval,
-        block: Sequence[int],
-        layers: int,
-        heads: int,
-        points: int,
-        feedforward_channels: int,
+        block: Sequence[Count],
+        layers: Count,
+        heads: Count,
+        points: Count,
+        feedforward_channels: Size,
         lens: Lens = "own",
     ):
         super().__init__()

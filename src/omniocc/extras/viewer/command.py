@@ -29,7 +29,7 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
         from omniocc.runs.wandb.loggers import log_file
 
         folder = Path(options.run[0])
-        log_file(folder, path, config_of(folder / "config.yaml").get("logger", {}).get("project", "omniocc"))
+        log_file(folder, path, config_of(folder)[0].get("logger", {}).get("project", "omniocc"))
         print(f"{path} is kept in {folder}/wandb; upload it by: make wandb-sync")
 
 

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from transformers import ResNetConfig
 
+from omniocc.bounds import Count, Size
 from omniocc.model.ops.backbone import FPN, Normalize, build_resnet, check_finest_first
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padded import FeatureMaps
@@ -133,11 +134,11 @@ class ResNet(nn.Module):
     def __init__(
         self,
         layer_type: Literal["basic", "bottleneck"],
-        embedding_size: int,
-        hidden_sizes: list[int],
-        depths: list[int],
+        embedding_size: Size,
+        hidden_sizes: list[Size],
+        depths: list[Count],
         weights: str | None,
-        channels: int,
+        channels: Size,
         levels: list[int],
         deformable_stages: Sequence[int] = (),
     ):

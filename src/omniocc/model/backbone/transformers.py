@@ -9,6 +9,7 @@ from torch.nn import functional as F
 from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
+from omniocc.bounds import Size
 from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
@@ -34,7 +35,9 @@ class Transformers(nn.Module):
 
     PRETRAINED: ClassVar = ()  # `weights` also brings entries of the configuration, which a checkpoint needs
 
-    def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
+    def __init__(
+        self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: Size, levels: list[int]
+    ):
         super().__init__()
         self.channels, self.levels = channels, list(levels)
         self.encoder = build_network(make_config(architecture, sizes), list(sizes), weights)

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 from torch.nn import functional as F
 
+from omniocc.bounds import Size, Weight
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.errors import UserError
@@ -154,9 +155,9 @@ class Mono(LearnedPanoramaDepth):
         self,
         panorama: Equirectangular,
         spheres: SphereRange,
-        channels: list[int],
+        channels: list[Size],
         focus: float,
-        sky_weight: float,
+        sky_weight: Weight,
         mirror: bool,
     ):
         super().__init__(panorama, spheres, mirror)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Count, CountOrNone, Fraction, Size, SizeOrNone
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.parallax import pixels_per_metre
 from omniocc.model.ops.depth.layers import FeatureNet, PanoramaConv, UNet2d
@@ -97,17 +98,17 @@ class OmniMVS(SphereNet):
         panorama: Equirectangular,
         spheres: SphereRange,
         loss: SphereLoss,
-        feature_channels: list[int],
+        feature_channels: list[Size],
         feature_stride: int,
-        match_channels: int,
-        groups: int,
-        context_channels: int,
+        match_channels: Size,
+        groups: Count,
+        context_channels: SizeOrNone,
         sweep_stride: int,
-        channels: list[int],
-        fine_channels: int,
-        blocks: int,
-        window: int,
-        min_confidence: float,
+        channels: list[Size],
+        fine_channels: Size,
+        blocks: CountOrNone,
+        window: CountOrNone,
+        min_confidence: Fraction,
         mirror: bool,
         pairs: str = "alternate",
         hints: bool = False,

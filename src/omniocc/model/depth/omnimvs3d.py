@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import CountOrNone, Fraction, Size
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.layers import FeatureNet
 from omniocc.model.ops.depth.projection import Projection, samplers, table
@@ -41,12 +42,12 @@ class OmniMVS3D(SphereNet):
         panorama: Equirectangular,
         spheres: SphereRange,
         loss: SphereLoss,
-        feature_channels: list[int],
-        match_channels: int,
+        feature_channels: list[Size],
+        match_channels: Size,
         sweep_stride: int,
-        channels: list[int],
-        window: int,
-        min_confidence: float,
+        channels: list[Size],
+        window: CountOrNone,
+        min_confidence: Fraction,
         mirror: bool,
     ):
         super().__init__(panorama, spheres, loss, window, min_confidence, mirror)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from omniocc.bounds import Fraction
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index
 from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
@@ -39,7 +40,7 @@ class Sweep(PanoramaDepth):
 
     COMPARES_CAMERAS: ClassVar[bool] = True
 
-    def __init__(self, panorama: Equirectangular, spheres: SphereRange, window_px: int, min_confidence: float):
+    def __init__(self, panorama: Equirectangular, spheres: SphereRange, window_px: int, min_confidence: Fraction):
         super().__init__(panorama, spheres)
         size = panorama.width, panorama.height
         if window_px < 3 or window_px % 2 == 0 or window_px > min(size):

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Size
 from omniocc.camera import Rig
 from omniocc.classes import FREE
 from omniocc.geometry import Grid
@@ -47,8 +48,8 @@ class SketchAndPixels(nn.Module):
         self,
         geometry: Grid,
         stride: int,
-        channels: int,
-        num_classes: int,
+        channels: Size,
+        num_classes: Size,
         queries: bool = False,
         volume: bool = False,
         logits: bool = False,

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
@@ -35,13 +36,13 @@ class CoarseColoring(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        channels: int,
+        channels: Size,
         levels: list[int],
-        layers: int,
-        heads: int,
-        points: int,
-        feedforward_channels: int,
-        block: int,
+        layers: Count,
+        heads: Count,
+        points: Count,
+        feedforward_channels: Size,
+        block: Count,
         anchors: Sequence[Sequence[float | int]] = CENTRE,
         evidence: bool = False,
     ):

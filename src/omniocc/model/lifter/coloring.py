@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_any, block_means
@@ -59,12 +60,12 @@ class Coloring(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        channels: int,
+        channels: Size,
         levels: list[int],
-        layers: int,
-        heads: int,
-        points: int,
-        feedforward_channels: int,
+        layers: Count,
+        heads: Count,
+        points: Count,
+        feedforward_channels: Size,
         anchors: Sequence[Sequence[float | int]] = CENTRE,
         evidence: bool = False,
         lens: Lens = "own",

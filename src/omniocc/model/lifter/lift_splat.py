@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from omniocc.bounds import Size
 from omniocc.camera import Rig
 from omniocc.camera.ops.pixels import usable
 from omniocc.geometry import Grid
@@ -40,7 +41,7 @@ class LiftSplat(nn.Module):
     """
 
     def __init__(
-        self, geometry: Grid, in_channels: int, channels: int, levels: list[int], bins: int, range_m: Interval
+        self, geometry: Grid, in_channels: Size, channels: Size, levels: list[int], bins: Size, range_m: Interval
     ):
         super().__init__()
         if bins < 1:

@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
@@ -45,14 +46,14 @@ class Pillar(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        in_channels: int,
-        channels: int,
+        in_channels: Size,
+        channels: Size,
         levels: list[int],
-        layers: int,
-        heads: int,
-        points: int,
-        heights: int,
-        feedforward_channels: int,
+        layers: Count,
+        heads: Count,
+        points: Count,
+        heights: Count,
+        feedforward_channels: Size,
         evidence: bool = False,
     ):
         super().__init__()

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
+from omniocc.bounds import Count, Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
 from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed, unravel
@@ -129,11 +130,11 @@ class Attention(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        channels: int,
-        layers: int,
-        heads: int,
-        points: int,
-        feedforward_channels: int,
+        channels: Size,
+        layers: Count,
+        heads: Count,
+        points: Count,
+        feedforward_channels: Size,
         halved: bool = False,
         flat: bool = False,
     ):

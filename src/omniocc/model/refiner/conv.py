@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import CountOrNone, Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, ResidualPair, check_halvings, upsample
@@ -34,7 +35,7 @@ class Conv(nn.Module):
         ValueError: if channels, blocks and periodic axes do not fit together.
     """
 
-    def __init__(self, geometry: Grid, in_channels: int, channels: list[int], blocks: list[int]):
+    def __init__(self, geometry: Grid, in_channels: Size, channels: list[Size], blocks: list[CountOrNone]):
         super().__init__()
         if len(channels) != len(blocks) or not channels:
             raise ValueError(f"channels {channels} and blocks {blocks} must be one number each for every level")

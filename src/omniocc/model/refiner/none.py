@@ -3,13 +3,14 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Size
 from omniocc.model.protocols import Sketched
 
 
 class NoRefiner(nn.Module):
     """Return the lifted features unchanged."""
 
-    def __init__(self, channels: int):
+    def __init__(self, channels: Size):
         super().__init__()
         self.channels = channels
 

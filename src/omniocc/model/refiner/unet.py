@@ -3,6 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.bounds import Size
 from omniocc.geometry import Grid
 from omniocc.model.ops.padding import residual3d
 from omniocc.model.ops.pyramid import Pyramid
@@ -23,7 +24,7 @@ class UNet(Pyramid):
         ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.
     """
 
-    def __init__(self, geometry: Grid, in_channels: int, channels: list[int]):
+    def __init__(self, geometry: Grid, in_channels: Size, channels: list[Size]):
         super().__init__(geometry, in_channels, channels, residual3d)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:

@@ -5,6 +5,7 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Size
 from omniocc.model.ops.padded import FeatureMaps
 
 
@@ -19,7 +20,7 @@ class FCN(nn.Module):
 
     CLASSIFIES: ClassVar[bool] = True
 
-    def __init__(self, in_channels: int, hidden_channels: int, num_classes: int):
+    def __init__(self, in_channels: Size, hidden_channels: Size, num_classes: Size):
         super().__init__()
         self.layers = nn.Sequential(
             nn.Conv2d(in_channels, hidden_channels, 3, padding=1, bias=False),

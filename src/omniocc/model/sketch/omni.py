@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Count, Metres, Size
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
@@ -73,14 +74,14 @@ class Omni(nn.Module):
         self,
         geometry: Grid,
         depth: Depth,
-        point_channels: int,
-        samples: Sequence[int],
-        channels: list[int],
+        point_channels: Size,
+        samples: Sequence[Count],
+        channels: list[Size],
         threshold: float | None,
         fraction: float | None,
-        dilation_m: Sequence[float | int],
-        band_edges_m: Sequence[float | int],
-        dilation_behind_m: float = 0.0,
+        dilation_m: Sequence[Metres],
+        band_edges_m: Sequence[Metres],
+        dilation_behind_m: Metres = 0.0,
     ):
         super().__init__()
         if (threshold is None) == (fraction is None):

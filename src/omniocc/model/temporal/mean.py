@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.static import is_static
@@ -25,7 +26,7 @@ class Mean(nn.Module):
         ValueError: if there are no past frames.
     """
 
-    def __init__(self, geometry: Grid, frames: int, history_gradient: bool):
+    def __init__(self, geometry: Grid, frames: Count, history_gradient: bool):
         super().__init__()
         if frames < 2:
             raise ValueError(f"frames is {frames}; a window needs at least 2; without history: model/temporal=none")

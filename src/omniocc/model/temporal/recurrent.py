@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from omniocc.bounds import Count, Size
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
@@ -102,13 +103,13 @@ class Recurrent(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        channels: int,
-        view_channels: int,
-        layers: int,
-        heads: int,
-        points: int,
-        feedforward_channels: int,
-        frames: int,
+        channels: Size,
+        view_channels: Size,
+        layers: Count,
+        heads: Count,
+        points: Count,
+        feedforward_channels: Size,
+        frames: Count,
         history_gradient: bool,
     ):
         super().__init__()

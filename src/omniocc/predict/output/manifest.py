@@ -28,9 +28,9 @@ def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: s
     """
     path = output / MANIFEST
     text = json.dumps(facts, indent=1) + "\n"
-    differs = path.is_file() and path.read_text() != text
+    differs = path.is_file() and path.read_text("utf-8") != text
     if differs and not force:
-        changed = _changed(path.read_text(), facts)
+        changed = _changed(path.read_text("utf-8"), facts)
         raise UserError(
             f"{output} holds predictions made with other options ({changed}); choose another output=..., or "
             "force=true to predict all frames again"

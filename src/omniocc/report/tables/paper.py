@@ -8,9 +8,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from omniocc.errors import UserError
-from omniocc.report.runs import VOXELS, FinishedRun, read_mapping
+from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.tables.formats import csv_text, exact, tabular
 from omniocc.report.tables.protocol import protocol_lines
+from omniocc.runs.renamed import read_mapping
 from omniocc.runs.table import Cells, number
 
 COMPARED = ("parts", "grids", "systems")

@@ -75,8 +75,8 @@ def relative_cells(records: Sequence[Robustness], names: Sequence[str] = ()) -> 
 
 
 def mean_drop(drops: dict[str, float]) -> float:
-    """Return the mean over kinds of disturbances, which count equally."""
-    return float(np.nanmean(list(drops.values()))) if drops else math.nan
+    """Return the mean over kinds of disturbances, which count equally; nan where none is known."""
+    return float(np.nanmean(list(drops.values()))) if not all(map(math.isnan, drops.values())) else math.nan
 
 
 def verdict(records: Sequence[Robustness]) -> str:

@@ -77,7 +77,7 @@ def log_report(report: Path, project: str) -> bool:
     Return False if that has been done already, or there is no table.
     """
     files = sorted(report.glob("*.csv"))
-    text = "".join(path.name + path.read_text() for path in files)
+    text = "".join(path.name + path.read_text("utf-8") for path in files)
     name = hashlib.sha256(f"{report.resolve()}\n{text}".encode()).hexdigest()[:16]
     if not files or list(report.glob(f"wandb/*-{name}")):
         return False
@@ -88,7 +88,7 @@ def log_report(report: Path, project: str) -> bool:
         dir=report, id=name, name="report", project=project, job_type="report", mode="offline", settings=quiet
     ) as run:
         for path in files:
-            head, *rows = csv.reader(path.read_text().splitlines())
+            head, *rows = csv.reader(path.read_text("utf-8").splitlines())
             run.log({f"paper/{path.stem}": wandb.Table(columns=[*head], data=rows)})
     wandb.teardown()  # `finish` alone may return before the file is whole
     return True

@@ -3,22 +3,27 @@
 The CSV file has every row on disk at once. W&B writes its file every 15 s, so that after a SIGKILL of the process or of
 its whole group the curves lack the rows of at most the last 15 s (measured with W&B 0.31, offline: 40 rows at 0.1 s per
 row, 12 rows at 1 s per row). A resumed run does not log rows again that the CSV files have.
+
+Where W&B fails (its process is killed, its disk is full), a run goes on with the CSV file alone: `until_lost`.
 """
 
+import functools
 import hashlib
+import logging
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
 from omniocc.runs.curves import curve_files, read_rows
 from omniocc.runs.robustness import RAY_IOU, Robustness, drop_of
@@ -127,7 +132,7 @@ class Loggers:
         loggers: list[Logger] = [CSVLogger(folder, name=CSV, flush_logs_every_n_steps=1)]
         # a sweep agent has set the id of one run, which a W&B run of an earlier stage would take
         wanted = "WANDB_SWEEP_ID" not in os.environ or job_type == (config.get("stage") or "occupancy")
-        if self.mode != "disabled" and wanted:
+        if self.mode != "disabled" and wanted and not WandbCurves.lost:
             os.environ.setdefault("WANDB_SILENT", "true")
             if self.mode == "online":
                 check_login("logger.mode=online needs a W&B server")
@@ -135,8 +140,30 @@ class Loggers:
         return loggers
 
 
+def until_lost(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a method that uses the W&B run: it begins the run, and does nothing after W&B's first failure.
+
+    Failures are errors of W&B and of the system. Others, such as media of a wrong shape, are mistakes of ours.
+    """
+
+    @functools.wraps(method)
+    def guarded(self: "WandbCurves", *args: Any, **kwargs: Any) -> Any:
+        if WandbCurves.lost:
+            return None
+        try:
+            self.begin()
+            return method(self, *args, **kwargs)
+        except Exception as error:
+            if not (isinstance(error, OSError) or type(error).__module__.partition(".")[0] == "wandb"):
+                raise
+            self.lose(error)
+            return None
+
+    return guarded
+
+
 class WandbCurves(WandbLogger):
-    """Lightning's logger for W&B, which does not repeat what an interrupted run has logged.
+    """Lightning's logger for W&B, which does not repeat what an interrupted run has logged, and never ends a run.
 
     Args:
         recipe: mode, project, group and tags; offline, data stays on the machine until `make wandb-sync`.
@@ -144,7 +171,12 @@ class WandbCurves(WandbLogger):
         config: the run's resolved configuration; its row is a further tag of an occupancy run.
         job_type: W&B job type, the stage.
         earlier: step and key of the values that the run has logged before it was interrupted.
+
+    Attributes:
+        lost: whether W&B has failed in this process; it is used no more then.
     """
+
+    lost: ClassVar[bool] = False
 
     def __init__(
         self, recipe: Loggers, folder: Path, config: dict[str, Any], job_type: JobType, earlier: set[tuple[int, str]]
@@ -169,6 +201,43 @@ class WandbCurves(WandbLogger):
         self.scalars: dict[str, float] = {}
 
     @rank_zero_only
+    def begin(self) -> None:
+        """Begin the W&B run, unless it has begun.
+
+        Raises:
+            OSError: also where tables could not be written in the end, for which W&B needs a folder below HOME.
+        """
+        if self._experiment is None:
+            from wandb.sdk.artifacts.staging import get_staging_dir
+
+            get_staging_dir()
+            logging.raiseExceptions = False  # W&B's log would print a traceback for each line that a full disk refuses
+            _ = super().experiment
+
+    @property
+    @until_lost
+    def experiment(self) -> Any:
+        """Return the W&B run; None in other processes than the first and after a failure."""
+        return self._experiment
+
+    def lose(self, error: Exception) -> None:
+        """Let W&B go after an error, and say so in a line; the run goes on without it."""
+        import wandb
+
+        WandbCurves.lost = True
+        run, self._experiment = self._experiment, None
+        for end in [run.finish, wandb.teardown] if run is not None else [wandb.teardown]:
+            # what still works is ended; else Python's end would show W&B's traceback
+            with suppress(Exception, SystemExit):
+                end()
+        print(
+            f"W&B is left out from here on ({first_line(error)}); curves and figures are written as before, without "
+            "it. See that its disk has space and HOME or WANDB_DATA_DIR can be written, or give logger.mode=disabled",
+            flush=True,
+        )
+
+    @rank_zero_only
+    @until_lost
     def log_metrics(self, metrics: Mapping[str, Any], step: int | None = None) -> None:
         """Log the metrics of a step that were not logged before the run was interrupted; those of a test as summary."""
         scalars = {key: value for key, value in metrics.items() if isinstance(value, int | float)}
@@ -181,6 +250,7 @@ class WandbCurves(WandbLogger):
             super().log_metrics(new, step)
 
     @rank_zero_only
+    @until_lost
     def log_constants(self, metrics: Mapping[str, float]) -> None:
         """Add values that do not change to the run's summary; nan arrives as none."""
         self.scalars |= metrics
@@ -188,6 +258,7 @@ class WandbCurves(WandbLogger):
             self.experiment.summary.update(dict(metrics))
 
     @rank_zero_only
+    @until_lost
     def log_media(self, media: Mapping[str, Sequence[MediaItem]], step: int) -> None:
         """Log images and points under their keys, all of one step in one row.
 
@@ -198,6 +269,7 @@ class WandbCurves(WandbLogger):
             self.log_metrics({key: [wandb_object(item) for item in items] for key, items in new.items()}, step)
 
     @rank_zero_only
+    @until_lost
     def finish(self) -> None:
         """Log the tables of a test and end the run, so that the next one in this process is a run of its own."""
         import wandb
@@ -231,8 +303,8 @@ def check_login(purpose: str) -> None:
 
 
 def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
-    """Return the loggers that write to W&B."""
-    return [logger for logger in loggers if isinstance(logger, WandbCurves)]
+    """Return the loggers that write to W&B; none after it has failed."""
+    return [logger for logger in loggers if isinstance(logger, WandbCurves) and not logger.lost]
 
 
 def log_earlier_stages(loggers: Sequence[Logger], figures: Mapping[str, float], step: int) -> None:

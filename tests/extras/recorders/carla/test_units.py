@@ -189,7 +189,7 @@ def test_lidars_turn_once_a_frame_and_stand_around_the_vehicle():
 
 
 def test_the_capturing_process_runs_under_python_3_8():
-    source = Path(client.__file__).read_text()
+    source = Path(client.__file__).read_text(encoding="utf-8")
     tree = ast.parse(source, feature_version=(3, 8))
     names = {name.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     assert names == {"carla", "json", "os", "queue", "random", "signal", "struct", "sys", "time"}

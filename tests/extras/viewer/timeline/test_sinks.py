@@ -128,7 +128,11 @@ def test_a_running_viewer_gets_the_frames(tmp_path):
 
 def listening_addresses(port):
     """Return the addresses of this machine at which something listens, as the kernel lists them (hexadecimal)."""
-    rows = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()]
+    rows = [
+        line.split()
+        for table in ("tcp", "tcp6")
+        for line in Path(f"/proc/net/{table}").read_text(encoding="utf-8").splitlines()
+    ]
     places = [row[1].split(":") for row in rows[1:] if row[3] == "0A"]
     return [address for address, number in places if int(number, 16) == port]
 

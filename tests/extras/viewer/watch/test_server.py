@@ -146,8 +146,10 @@ def test_a_taken_port_and_a_missing_folder_are_a_line(runs, tmp_path):
 
 def test_a_damaged_run_is_said(ask, runs):
     make_run(runs / "bad", "step,train/loss\n9,three\n")
-    assert ask("/api/run?id=bad")[0] == 500
-    assert ask("/api/runs")[0] == 200
+    assert json.loads(ask("/api/run?id=bad")[2]) == {"curves": {}, "images": []}
+    (bad,) = (run for run in json.loads(ask("/api/runs")[2])["runs"] if run["id"] == "bad")
+    path = runs / "bad" / "csv" / "version_0" / "metrics.csv"
+    assert bad["problem"] == f"left out: {path} is damaged: train/loss is 'three'"
 
 
 def test_ctrl_c_ends_it_cleanly(runs):
@@ -241,6 +243,30 @@ def test_a_damaged_run_does_not_hide_the_others(tmp_path):
     (tmp_path / "good" / "config.yaml").write_text("{not: [yaml")
     assert states(tmp_path)["bad"].state == "unreadable"
     assert states(tmp_path)["good"].steps is None
+
+
+def test_files_that_have_not_changed_are_not_read_again_however_many_runs_there_are(tmp_path, monkeypatch):
+    for number in range(300):
+        make_run(tmp_path / f"ours-{number}")
+    run_states(tmp_path)
+    opened = []
+    read = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, *options, **more: opened.append(path) or read(path, *options, **more)
+    )
+    run_states(tmp_path)
+    assert [path for path in opened if path.name == "config.yaml"] == []
+    (tmp_path / "ours-7" / "config.yaml").write_text("stages: {occupancy: {max_steps: 7}}")
+    assert states(tmp_path)["ours-7"].steps == 7
+    assert [path for path in opened if path.name == "config.yaml"][1:] == [tmp_path / "ours-7" / "config.yaml"]
+
+
+def test_a_job_whose_status_is_damaged_does_not_hide_the_others(tmp_path):
+    (tmp_path / "sweeps").mkdir()
+    for name, text in {"a": '{"state": "running", "title": "x", "total": 9, "rate_hz": "fast"}', "b": "[]"}.items():
+        (tmp_path / "sweeps" / f"{name}.status.json").write_text(text)
+    (tmp_path / "sweeps" / "c.status.json").mkdir()
+    assert [job["status"].partition(":")[0] for job in jobs(tmp_path)] == ["its status cannot be read"] * 3
 
 
 def test_nothing_is_written(tmp_path):

@@ -1,17 +1,20 @@
 """Files of runs, read only: nothing is written, locked or created."""
 
 import os
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omniocc.io import read_yaml
 from omniocc.runs.curves import Curve, curve_files, read_curves
+from omniocc.runs.renamed import read_config
+from omniocc.runs.results import METRICS, load_results
 
 LOCKS = Path("/proc/locks")
 Identity = tuple[int, int, int]
 """A file: device (major, minor) and inode."""
+Stamps = tuple[tuple[str, int, int], ...]
+"""Names of files, the time of their last change, ns, and their sizes, bytes."""
+CONFIG = "config.yaml"
 
 
 def modified_s(path: Path) -> float:
@@ -22,31 +25,51 @@ def modified_s(path: Path) -> float:
         return 0.0
 
 
-def curves_of(folder: Path) -> dict[str, Curve]:
-    """Return the curves of a run, read again only when a file has changed; errors as `read_curves`."""
-    stats = [(path, path.stat()) for path in curve_files(folder)]
-    return _curves(folder, tuple((str(path), stat.st_mtime_ns, stat.st_size) for path, stat in stats))
+_read: dict[tuple[Callable[[Path], Any], Path], tuple[Stamps, Any, str]] = {}
+"""What readers have made of the files of every run, which a page asks for every few seconds, and what was wrong."""
 
 
-@lru_cache(maxsize=256)
-def _curves(folder: Path, stamps: tuple[tuple[str, int, int], ...]) -> dict[str, Curve]:
-    del stamps  # the key of the cache: other files, other curves
-    return read_curves(folder)
+def read_again(reader: Callable[[Path], Any], folder: Path, paths: Sequence[Path]) -> tuple[Any, str]:
+    """Return what a reader makes of a run's folder, and what is wrong; it reads again only when a file has changed.
+
+    Args:
+        reader: raises OSError or ValueError naming the file, when it is damaged; the result is then None.
+        folder: of the run.
+        paths: files that it reads.
+    """
+    stats = [path.stat() if path.exists() else path.lstat() for path in paths]
+    stamps = tuple((str(path), stat.st_mtime_ns, stat.st_size) for path, stat in zip(paths, stats, strict=True))
+    known = _read.get((reader, folder))
+    if known is None or known[0] != stamps:
+        try:
+            known = stamps, reader(folder), ""
+        except (OSError, ValueError) as error:
+            known = stamps, None, f"left out: {error}"
+        _read[reader, folder] = known
+    return known[1:]
 
 
-def config_of(path: Path) -> Mapping[str, Any]:
-    """Return the configuration of a run; empty if there is none, or it is not whole."""
-    return _config(path, modified_s(path))
+def curves_of(folder: Path) -> tuple[Mapping[str, Curve], str]:
+    """Return the curves of a run, none where a file is damaged, and what is wrong."""
+    curves, problem = read_again(read_curves, folder, curve_files(folder))
+    return curves or {}, problem
 
 
-@lru_cache(maxsize=256)
-def _config(path: Path, modified: float) -> Mapping[str, Any]:
-    del modified
-    try:
-        config = read_yaml(path)
-    except OSError:
-        return {}
-    return config if isinstance(config, dict) else {}
+def config_of(folder: Path) -> tuple[Mapping[str, Any], str]:
+    """Return the configuration of a run, empty if there is none or it is damaged, and what is wrong."""
+    path = folder / CONFIG
+    config, problem = read_again(_config, folder, [path]) if os.path.lexists(path) else ({}, "")
+    return config or {}, problem
+
+
+def _config(folder: Path) -> Mapping[str, Any]:
+    return read_config(folder / CONFIG)
+
+
+def problem_of_results(folder: Path) -> str:
+    """Return what is wrong with the figures of a finished run; empty where they are sound, or not there yet."""
+    path = folder / METRICS
+    return read_again(load_results, folder, [path])[1] if os.path.lexists(path) else ""
 
 
 def held_locks(table: Path = LOCKS) -> frozenset[Identity]:
@@ -55,7 +78,7 @@ def held_locks(table: Path = LOCKS) -> frozenset[Identity]:
     To take the lock instead could make a run that starts just then fail. Elsewhere the result is empty.
     """
     try:
-        words = table.read_text().split()
+        words = table.read_text("utf-8").split()
     except OSError:
         return frozenset()
     parts = [word.split(":") for word in words if word.count(":") == 2]

@@ -8,7 +8,7 @@ import errno
 import json
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from http import HTTPStatus
@@ -18,10 +18,20 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
+from omniocc.config import fits
 from omniocc.errors import UserError
-from omniocc.extras.viewer.watch.files import Identity, config_of, curves_of, held_locks, identity, modified_s
+from omniocc.extras.viewer.watch.files import (
+    Identity,
+    config_of,
+    curves_of,
+    held_locks,
+    identity,
+    modified_s,
+    problem_of_results,
+)
 from omniocc.progress import clock, read_status
 from omniocc.runs.curves import Curve, curve_files, read_rows
+from omniocc.runs.results import IMAGES, METRICS
 
 HOST = "127.0.0.1"
 OWN_NAMES = ("127.0.0.1", "localhost")
@@ -40,7 +50,7 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-METRICS, IMAGES, CONFIG, LOCK = "metrics.json", "images", "config.yaml", ".lock"
+LOCK = ".lock"
 STAGES = "stages"
 """Folder of the earlier stages in the folder of runs, and prefix of their ids."""
 SCORES = {
@@ -191,6 +201,7 @@ class RunState:
         left: time left at the rate since the last start, in words; empty where unknown.
         changed_s: seconds since its files have changed.
         score: key and last value of its main score of validation; None before the first.
+        problem: what is wrong with its files, `left out: <file> ...`; empty where nothing is.
     """
 
     id: str
@@ -201,6 +212,7 @@ class RunState:
     left: str = ""
     changed_s: float = 0.0
     score: tuple[str, float] | None = None
+    problem: str = ""
 
     def plain(self) -> dict[str, Any]:
         """Return it as plain data, with the time since the last change in words."""
@@ -231,10 +243,13 @@ def run_state(name: str, folder: Path, now_s: float, held: Collection[Identity])
     """Return what one run is doing at a time of day, given the files that are locked."""
     stage, changed_s = stage_of(name), max(0.0, now_s - changed_at_s(folder))
     try:
-        curves = curves_of(folder)
-    except (OSError, ValueError):  # removed meanwhile, or damaged
-        return RunState(name, stage, "unreadable", changed_s=changed_s)
-    last, steps = max((max(curve) for curve in curves.values()), default=-1), configured_steps(folder, stage)
+        (curves, damage), (config, other_damage) = curves_of(folder), config_of(folder)
+        problem = damage or other_damage or problem_of_results(folder)
+    except OSError as error:  # removed meanwhile
+        damage = problem = f"left out: {error}"
+    if damage:
+        return RunState(name, stage, "unreadable", changed_s=changed_s, problem=problem)
+    last, steps = max((max(curve) for curve in curves.values()), default=-1), configured_steps(config, stage)
     key = next((key for key in SCORES[stage] if key in curves), None)
     state = state_of(folder, changed_s, held)
     return RunState(
@@ -246,6 +261,7 @@ def run_state(name: str, folder: Path, now_s: float, held: Collection[Identity])
         left="" if state != "in progress" or steps is None else time_left(folder, steps, now_s),
         changed_s=changed_s,
         score=None if key is None else (key, curves[key][max(curves[key])]),
+        problem=problem,
     )
 
 
@@ -272,11 +288,10 @@ def changed_at_s(folder: Path) -> float:
     return max(map(modified_s, paths))
 
 
-def configured_steps(folder: Path, stage: str) -> int | None:
+def configured_steps(config: Mapping[str, Any], stage: str) -> int | None:
     """Return the optimiser steps that a run's configuration asks for; None if it limits epochs alone."""
-    recipe = (config_of(folder / CONFIG).get("stages") or {}).get(stage)
-    steps = (recipe or {}).get("max_steps")
-    return steps if isinstance(steps, int) and steps > 0 else None
+    steps = (config.get("stages", {}).get(stage) or {}).get("max_steps")
+    return steps if steps is not None and fits(steps, int) and steps > 0 else None
 
 
 def time_left(folder: Path, steps: int, now_s: float) -> str:
@@ -294,8 +309,8 @@ def time_left(folder: Path, steps: int, now_s: float) -> str:
 
 
 def details(folder: Path) -> dict[str, Any]:
-    """Return the curves of a run as points (step, value) by key, and the names of its last images."""
-    curves = {key: thinned(curve) for key, curve in curves_of(folder).items() if key != "epoch"}
+    """Return the curves of a run as points (step, value) by key, none where they are damaged, and its last images."""
+    curves = {key: thinned(curve) for key, curve in curves_of(folder)[0].items() if key != "epoch"}
     return {"curves": curves, "images": last_images(folder)}
 
 
@@ -320,8 +335,8 @@ def jobs(runs: Path) -> list[dict[str, str]]:
     for path in sorted((runs / "sweeps").glob("**/*.status.json")):
         if now_s - modified_s(path) < RECENT_S:
             try:
-                status = read_status(path) or "begins"
-            except (ValueError, TypeError) as error:  # damaged
+                status = str(read_status(path) or "begins")
+            except (OSError, ValueError, TypeError) as error:  # damaged
                 status = f"its status cannot be read: {error}"
-            found.append({"job": path.name.removesuffix(".status.json"), "status": str(status)})
+            found.append({"job": path.name.removesuffix(".status.json"), "status": status})
     return found

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.bounds import Weight
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.confidence import Confidence
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, weighted_sum
@@ -40,9 +41,9 @@ class SphereLoss:
     nearer than `SKY_INDEX`; the cross-entropy of sky or surface is a mean over all known pixels.
     """
 
-    log_range_weight: float
-    entropy_weight: float
-    sky_weight: float
+    log_range_weight: Weight
+    entropy_weight: Weight
+    sky_weight: Weight
 
     def __call__(
         self,

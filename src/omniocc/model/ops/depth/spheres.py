@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.bounds import Size
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.rig_cache import once_per_rig
 
@@ -99,7 +100,7 @@ class SphereRange:
         min_range_m: radius of the nearest; None derives it from each rig (`nearest_range_m`).
     """
 
-    count: int
+    count: Size
     min_range_m: float | None
 
     def __post_init__(self) -> None:

@@ -42,6 +42,7 @@ function row(run) {
   });
   const cells = [element("td"), element("td", run.id, { class: "name" }), element("td", run.state)];
   cells[0].append(box);
+  if (run.problem) cells[1].append(element("div", run.problem, { class: "problem" }));
   const steps = element("td");
   if (run.steps !== null) steps.append(element("progress", "", { max: run.steps, value: run.step }), " ");
   steps.append(run.steps === null ? `${run.step}` : `${run.step} of ${run.steps}`);
