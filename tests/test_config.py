@@ -152,6 +152,12 @@ def test_unknown_root_key_is_refused(composed):
         check_root(composed("+sed=1"))
 
 
+@pytest.mark.parametrize(("group", "words"), [("logger", "logger.mode=disabled"), ("trainer", "leave ~trainer out")])
+def test_a_group_that_the_command_takes_out_is_named(group, words, composed):
+    with pytest.raises(ConfigError, match=rf"{group}: train\.py needs it; .*{words}"):
+        check_root(composed(f"~{group}"))
+
+
 def test_targets_that_are_no_classes_of_allowed_packages_are_refused():
     for name in ("os.system", "omniocc.io.os.system", "torch.load"):
         with pytest.raises(ConfigError, match=f"{name} is (not a class|of the package os)"):

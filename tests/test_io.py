@@ -5,6 +5,7 @@ import os
 import re
 import resource
 import signal
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -188,3 +189,15 @@ def test_a_full_disk_cuts_no_result_and_is_named(name, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_inodes_is_told_from_a_full_one(tmp_path):
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "nr_inodes=2", "tmpfs", tmp_path], capture_output=True)
+    if mounted.returncode:
+        pytest.skip(f"only root may mount a small disk: {mounted.stderr.decode().strip()}")
+    try:
+        atomic_write(tmp_path / "first", b"")
+        with pytest.raises(DataError, match=r"^cannot write .*second: the disk takes no more files: remove some, then"):
+            atomic_write(tmp_path / "second", b"")
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)

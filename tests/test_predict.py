@@ -3,6 +3,7 @@
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,7 +19,7 @@ from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
 from omniocc.runs.checkpoint import CONFIG, STAGE
 
-SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
+SMALL = ("checkpoint=sweep", "preset=smoke", "image_width=64", "rig=fisheye6")
 
 
 def draw_frame(folder: Path, seed: int) -> Path:
@@ -96,6 +97,40 @@ def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frame
         run_here(*arguments, "+depth.channels=[8,8,8,8]")
 
 
+def test_the_default_are_the_weights_for_any_rig_and_an_unknown_road_is_told(frames, tmp_path, capsys, run_here):
+    arguments = f"images={frames / '0000'}", f"output={tmp_path}"
+    run_here("rig=fisheye6", *arguments)
+    assert "road      its height is not known" in capsys.readouterr().out
+    learned = np.load(tmp_path / "range.npz")["range_m"]
+    run_here("rig=fisheye6", "checkpoint=any-rig", *arguments)
+    assert np.array_equal(learned, np.load(tmp_path / "range.npz")["range_m"], equal_nan=True)
+    replace(Rig.load("fisheye6"), road_z_m=-2.2).save(tmp_path / "rig.yaml")
+    capsys.readouterr()
+    run_here(f"rig={tmp_path / 'rig.yaml'}", *arguments)
+    assert "not known" not in capsys.readouterr().out
+    run_here(*SMALL, *arguments)
+    swept = np.load(tmp_path / "range.npz")["range_m"]
+    run_here(*SMALL[1:], "checkpoint=null", *arguments)
+    assert np.array_equal(swept, np.load(tmp_path / "range.npz")["range_m"], equal_nan=True)
+    assert swept.shape != learned.shape
+    assert "not known" not in capsys.readouterr().out  # the sweep does not use it
+
+
+def test_images_in_the_wrong_order_are_told(frames, tmp_path, capsys, run_here):
+    names = ["front", "front_right", "rear_right", "rear", "rear_left", "front_left"]
+    assert list(Rig.load("fisheye6").names) == names
+    names[0], names[1] = names[1], names[0]
+    for k, name in enumerate(names):
+        shutil.copy(frames / "0000" / f"{name}.png", tmp_path / f"{k}.png")
+    listed = ",".join(f"{tmp_path / str(k)}.png" for k in range(6))
+    run_here(*SMALL, f"images=[{listed}]", f"output={tmp_path / 'out'}")
+    told = [line for line in capsys.readouterr().out.splitlines() if "swapped" in line]
+    assert len(told) == 1
+    assert f"front={tmp_path}/1.png, front_right={tmp_path}/0.png; " in told[0]
+    run_here(*SMALL, f"images={frames}", f"output={tmp_path / 'out'}")
+    assert "swapped" not in capsys.readouterr().out
+
+
 def test_mistakes_are_named(frames, checkpoint, tmp_path, run_here):
     lacking = tmp_path / "lacking"
     shutil.copytree(frames / "0000", lacking)
@@ -112,6 +147,7 @@ def test_mistakes_are_named(frames, checkpoint, tmp_path, run_here):
         ([*SMALL, f"images={lacking}"], ["'rear'", "exclude_cameras=[rear]"]),
         ([*SMALL, frame, "model/depth=truth"], ["recorded range"]),
         ([*SMALL, frame, "+depth.windov_px=3"], ["did you mean 'window_px'"]),
+        (["rig=fisheye6", frame, "preset=tiny"], ["preset=tiny", "checkpoint=any-rig", "checkpoint=sweep"]),
         (["rig=fisheye6", frame, f"checkpoint={damaged}"], ["damaged.ckpt"]),
         (["rig=fisheye6", frame, f"checkpoint={tmp_path / 'nan.ckpt'}"], ["nan.ckpt", "NaN"]),
         (["rig=fisheye6", frame, f"checkpoint={checkpoint}", "preset=tiny"], ["preset=tiny", "checkpoint"]),

@@ -7,7 +7,7 @@ from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.source import SPLITS
 from omniocc.draw import save_png
 from omniocc.draw.voxel_sheet import data_sheet
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError, reason_of
 
 
 def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None) -> int:
@@ -49,8 +49,8 @@ def draw(data: OccupancyData, folder: Path) -> None:
                     labels.prepare([scene])
                 parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
                 voxels = labels.read(scene, 0) if known else None
-            except (DataError, ValueError) as error:
-                print(f"the first frame of {split} cannot be drawn: {error}", flush=True)
+            except (DataError, *FAULTS) as error:
+                print(f"the first frame of {split} cannot be drawn: {reason_of(error)}", flush=True)
                 continue
             path = folder / f"{split}-{scene.name}.png"
             save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))

@@ -164,6 +164,9 @@ def check_root(cfg: DictConfig) -> None:
     """
     if "sweep" in cfg:
         raise ConfigError(["sweep: a table is trained by python src/train.py --multirun +sweep=<table>"])
+    if lacking := [group for group in GROUPS if group not in cfg]:
+        instead = {"logger": "; logger.mode=disabled leaves the curves in a CSV file alone"}
+        raise ConfigError([f"{key}: train.py needs it; leave ~{key} out{instead.get(key, '')}" for key in lacking])
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
     problems += [] if problems else _wrong_names(cfg)

@@ -1,5 +1,11 @@
 """Errors that scripts report by their message alone."""
 
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 LONGEST = 1000
 """Characters of a text that a message shows: a value may have a thousand lines."""
 LONGEST_OF_FILES = 200
@@ -16,6 +22,35 @@ class DataError(OSError):
     """Recorded data is missing, damaged or cannot be written. The message names the path and the remedy."""
 
 
+FAULTS = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What content that is not as expected makes code raise; a reader turns it into one error that names the file."""
+
+ANY_FOLDER = "paths.data=... or paths.runs=..."
+"""The keys that an error names for a folder that cannot be written, unless `moved_by` knows the one that helps."""
+
+
+@contextmanager
+def moved_by(key: str) -> Iterator[None]:
+    """Name the key that moves the folder to which this block writes in errors about it; the innermost block counts."""
+    try:
+        yield
+    except DataError as error:
+        if ANY_FOLDER not in str(error):
+            raise
+        raise DataError(str(error).replace(ANY_FOLDER, f"{key}=...")) from error
+
+
 def installing(extra: str) -> str:
     """Return the command that installs a group of optional packages, with the folder in which it works."""
     return f"pip install --constraint constraints.txt --editable '.[{extra}]' (in the folder of this repository)"
@@ -29,6 +64,13 @@ def shortened(text: str, most: int = LONGEST) -> str:
 def in_line(text: str) -> str:
     """Return a text of a file for a message: one line, no control characters, shortened."""
     return shortened(text if text.isprintable() else repr(text)[1:-1], LONGEST_OF_FILES)
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what is wrong with content: the text of a ValueError, of other errors their type too, in one line."""
+    return (
+        first_line(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {first_line(error)}"
+    )
 
 
 def repr_of(value: object) -> str:

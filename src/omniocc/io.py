@@ -8,7 +8,6 @@ import math
 import os
 import re
 import secrets
-import shutil
 import stat
 import sys
 from collections.abc import Hashable, Iterable, Iterator
@@ -18,7 +17,7 @@ from typing import Any, BinaryIO, TypeVar
 import yaml
 from yaml.constructor import ConstructorError
 
-from omniocc.errors import DataError, UserError, first_line, repr_of
+from omniocc.errors import ANY_FOLDER, DataError, UserError, first_line, repr_of
 
 MOST_BYTES = 16 << 20
 """Largest file of YAML that is read: its content takes many times as much memory."""
@@ -44,9 +43,10 @@ _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
     errno.EFBIG: "files may not grow that large here: raise the limit (ulimit -f)",
     errno.EDQUOT: "the disk quota is used up: free some space",
-    errno.EROFS: "the folder is read-only: choose another one (paths.data=... or paths.runs=...)",
-    errno.EACCES: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
-    errno.EPERM: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
+    errno.EROFS: f"the folder is read-only: choose another one ({ANY_FOLDER})",
+    errno.EACCES: f"the folder may not be written to: choose another one ({ANY_FOLDER})",
+    errno.EPERM: f"the folder may not be written to: choose another one ({ANY_FOLDER})",
+    errno.ENOLCK: f"its file system has no locks (flock): choose a folder on another one ({ANY_FOLDER})",
     errno.EMFILE: "too many open files: raise the limit (ulimit -n)",
 }
 
@@ -165,13 +165,16 @@ _KINDS = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "pipe"), (stat.S_ISCHR, "dev
 def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
     """Return the error to raise when writing to a file or folder failed; complete files stay valid.
 
-    The size of the file, if known, is named with the free space when the disk is full.
+    When the disk is full, the size of the file, if known, is named with the free space, unless it has no inode left.
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
-    if error.errno == errno.ENOSPC and needed_bytes is not None:
-        folder = next(parent for parent in path.absolute().parents if parent.exists())
-        free_bytes = shutil.disk_usage(folder).free
-        reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
+    if error.errno == errno.ENOSPC:
+        disk = os.statvfs(next(parent for parent in path.absolute().parents if parent.exists()))
+        free_bytes = disk.f_frsize * disk.f_bavail
+        if disk.f_files and not disk.f_favail:
+            reason = "the disk takes no more files: remove some"
+        elif needed_bytes is not None:
+            reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
     remedy = ", then run the same command again; it continues where it stopped" if error.errno in _REMEDIES else ""
     return DataError(f"cannot write {path}: {reason}{remedy}")
 

@@ -18,11 +18,12 @@ from queue import Empty
 from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, SIGINT, pthread_sigmask, signal
 from typing import Any, TypeVar
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 import omniocc
 from omniocc.errors import DataError
-from omniocc.io import atomic_write, cannot_write
+from omniocc.io import atomic_write
+from omniocc.lock import Held, acquire
 from omniocc.progress import Progress
 
 Report = Callable[[int], None]
@@ -196,12 +197,8 @@ def _make(work: Work, report: Report, folder: Path, report_wait: Callable[[str],
     """Make a scene and return True; if another run holds it, return False, or call `report_wait` and wait."""
     try:
         lock = _lock(folder, report_wait)
-    except Timeout:
+    except Held:
         return False
-    except DataError:
-        raise
-    except OSError as error:
-        raise cannot_write(folder, error) from error
     try:
         work(folder, report)
     except Stopped:
@@ -213,15 +210,14 @@ def _make(work: Work, report: Report, folder: Path, report_wait: Callable[[str],
 
 def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
     locks = folder.parent / ".locks"
-    locks.mkdir(parents=True, exist_ok=True)
-    lock, owner = FileLock(locks / f"{folder.name}.lock"), locks / f"{folder.name}.owner"
+    path, owner = locks / f"{folder.name}.lock", locks / f"{folder.name}.owner"
     try:
-        lock.acquire(blocking=False)
-    except Timeout:
+        lock = acquire(path)
+    except Held:
         if report_wait is None:
             raise
         report_wait(f"another process {_owner(owner)} makes {folder.name}, waiting")
-        lock.acquire()
+        lock = acquire(path, wait=True)
     atomic_write(owner, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
     return lock
 

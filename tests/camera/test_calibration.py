@@ -332,6 +332,14 @@ def test_a_byte_order_mark_is_no_content(load):
         assert load("\ufeff" + text) == load(text)
 
 
+def test_a_mask_of_omnimvs_that_is_missing_beside_others_is_named(load, tmp_path):
+    text = OMNIMVS.replace("     pose: [0.0, 1.57", "     invalid_mask: mask2.png, pose: [0.0, 1.57")
+    assert load(text).masks is None
+    cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((768, 800), np.uint8))
+    with pytest.raises(ValueError, match=r"cam2: invalid_mask .*mask2\.png does not exist"):
+        load(text)
+
+
 def test_other_keys_may_stand_beside_the_cameras_of_kalibr(load):
     assert load("calibration_date: 2024-01-01\n" + KALIBR + "imu0: {rate_hz: 200}\n") == load(KALIBR)
 
@@ -340,6 +348,10 @@ def test_matrices_may_be_nested_lists(load):
     rows = "camera_matrix: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]\ndist_coeffs: [[0.1], [0], [0], [0]]\n"
     (camera,) = load(rows + "resolution: [64, 48]").cameras
     assert camera == KannalaBrandt(64, 48, (40.0, 40.0), (32.0, 24.0), (0.1, 0.0, 0.0, 0.0), 180.0)
+    matrix = (
+        "camera_matrix: {rows: 3, cols: 3, data: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]}\ndist_coeffs: [[.1,0,0,0]]"
+    )
+    assert load(f"{matrix}\nresolution: [64, 48]").cameras == (camera,)
     with pytest.raises(ValueError, match=r"camera_matrix is .*its rows differ in length"):
         load(rows.replace("[0, 0, 1]", "[0, 0]") + "resolution: [64, 48]")
 

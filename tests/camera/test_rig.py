@@ -1,13 +1,17 @@
 import math
 import os
 import pickle
+import re
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from omniocc.camera import Equidistant, Panoramic, Pinhole, Rig
+from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.camera.pose import pose_from_angles
 from omniocc.camera.rig import MODELS
 
@@ -160,6 +164,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
         ("    focal_px: 12.0\n", "", "focal_px is missing"),
         ("focal_px: 12.0", "focal_px: twelve", "focal_px is 'twelve'"),
         ("max_angle_deg", "max_angel_deg", "max_angle_deg is missing"),
+        ("    width: 40\n    height: 20\n", "", "width, height are missing; keys: model, width, .*, mask .optional"),
         ("max_angle_deg: 95", "max_angle_deg: 95\n    k1: 3", "unknown key k1"),
         ("yaw_deg", "yaw", "ego_from_camera.yaw_deg is missing"),
         (POSE, "[[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "not rigid"),
@@ -290,3 +295,15 @@ def test_names_of_cameras_that_yaml_reads_as_something_else_are_refused(name, re
         Rig.load(file)
     file.write_text(GOOD.replace("front:", f"'{name}':"))
     assert Rig.load(file).names[0] == name
+
+
+def test_the_page_has_an_example_of_every_lens_model_and_of_a_matrix(tmp_path):
+    page = (Path(__file__).parents[2] / "docs/how_to/own_data.md").read_text()
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    file = tmp_path / "page.yaml"
+    file.write_text(next(block for block in blocks if "*pose" in block))
+    rig = Rig.load(file)
+    assert {name: type(camera) for name, camera in zip(rig.names, rig.cameras, strict=True)} == MODELS
+    assert lenses_that_do_not_fit(rig) == ()
+    matrix = yaml.safe_load(next(block for block in blocks if block.startswith("ego_from_camera")))["ego_from_camera"]
+    assert torch.equal(torch.tensor(matrix, dtype=torch.float64), pose_from_angles((0.9, 0, 0), 0, 0, 0))

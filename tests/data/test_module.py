@@ -1,4 +1,7 @@
 import itertools
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -11,7 +14,7 @@ from omniocc.data import OccupancyData, SceneReader
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.module import EpochSampler, RankSampler, shuffled
 from omniocc.data.source import BenchmarkFrame
-from omniocc.errors import UserError
+from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder, resample
 from omniocc.train.scores import Scores, within_reach
 
@@ -291,3 +294,39 @@ def test_frames_of_a_scene_follow_one_another():
 
 def test_one_at_a_time_scenes_do_not_matter():
     assert epoch(EpochSampler(18, 0, scenes=[9, 9]), 3) == epoch(EpochSampler(18, 0), 3)
+
+
+@pytest.fixture
+def read_only() -> Iterator[Callable[[Path], None]]:
+    """A function that makes a folder read-only until the test ends, for root as well."""
+    mounted = []
+
+    def mount(folder: Path) -> None:
+        for options in (["--bind", folder], ["-o", "remount,ro,bind"]):
+            done = subprocess.run(["mount", *options, folder], capture_output=True, text=True, check=False)
+            if done.returncode:
+                pytest.skip(f"only root may mount a folder: {done.stderr.strip()}")
+            mounted[:] = [folder]
+
+    yield mount
+    for folder in mounted:
+        subprocess.run(["umount", folder], check=True)
+
+
+def test_complete_data_on_a_read_only_disk_are_used_and_other_voxels_name_the_key_of_their_folder(tmp_path, read_only):
+    made = make(tmp_path)
+    made.prepare_data()
+    made.setup()
+    counts = made.voxel_counts()
+    read_only(tmp_path)
+    data = make(tmp_path)
+    data.prepare_data()
+    data.setup()
+    assert torch.equal(data.voxel_counts(), counts)
+    assert len(list(data.train_dataloader())) == 4
+    with pytest.raises(
+        DataError, match=r"^cannot write .*: the folder is read-only: .* \(data\.source\.cache=\.\.\.\)"
+    ):
+        make(tmp_path, grid=HIGH).prepare_data()
+    with pytest.raises(DataError, match=r"^cannot write .*: the folder is read-only: .* \(paths\.data=\.\.\.\)"):
+        make(tmp_path / "more").prepare_data()

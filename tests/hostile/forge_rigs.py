@@ -90,7 +90,7 @@ def openings(box: Box, path: Path, expect: str = "refused", check: Callable | No
         splits = "data.source.splits={train:[test-*],val:[],test:[]}"
         log = ("recorder=files", "recorder.name=train-000-x", f"recorder.log={base / 'log'}", f"recorder.rig={path}")
         commands = [
-            ("predict.py", "depth", f"rig={path}", images, out, "preset=smoke"),
+            ("predict.py", "depth", f"rig={path}", images, out, "checkpoint=sweep", "preset=smoke"),
             ("predict.py", "occupancy", checkpoint, f"rig={path}", images, out),
             ("export.py", checkpoint, f"rig={path}", f"{out}.pt2"),
             ("record.py", *log, out),

@@ -41,7 +41,6 @@ def test_the_lines_of_the_page_do_what_the_commands_do(composed, tmp_path, monke
     assert np.array_equal(np.transpose(voxels.grid.bounds), [written["low"], written["high"]])
     assert voxels.names == tuple(written["class_names"])
     assert np.array_equal(voxels.colors, written["class_colors"])
-    given = (*given, "checkpoint=any-rig")
     predict_panoramas(composed(*given, name="predict_depth"), given)
     ranges = found["ranges"]
     assert np.isfinite(ranges.range_m).any()

@@ -59,6 +59,9 @@ def test_the_origin_is_put_as_high_above_the_road_as_in_training():
     assert (kept, height_m) == (low, 0.0)
     assert "stays around the origin of the rig" in line
     unknown = replace(low, road_z_m=None)
+    assert (
+        "its height is not known (road_z_m in the rig file)" in trained_with("data.source.rig=random").place(unknown)[2]
+    )
     kept, height_m, line = own.place(unknown)
     assert (kept, height_m) == (unknown, 0.0)
     assert all(word in line for word in ("road_z_m", "-2.2 m", "rig file"))

@@ -1,6 +1,7 @@
 """The command line of scripts: help that is cut off, and Python 3.14, whose check older Pythons get here."""
 
 import argparse
+import errno
 import math
 import os
 import signal
@@ -16,7 +17,7 @@ from hydra.errors import HydraException
 from scripts import run_script
 
 from omniocc.runs.results import save_results
-from omniocc.runs.script import accept_lazy_help, explain, lines_not_tracebacks, nearest
+from omniocc.runs.script import accept_lazy_help, explain, line_of, lines_not_tracebacks, nearest
 
 SRC = Path(__file__).parents[2] / "src"
 
@@ -212,8 +213,8 @@ from pathlib import Path
 import torch
 from lightning.pytorch import Trainer
 from lightning.pytorch.demos.boring_classes import BoringModel
-from torch.utils.data import DataLoader, Dataset
-from omniocc.data.module import worker_options
+from torch.utils.data import Dataset, default_collate
+from omniocc.data.loader import Loader
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
 
 class Slow(Dataset):
@@ -230,7 +231,7 @@ class Slow(Dataset):
 @lines_not_tracebacks
 def main():
     quiet_libraries()
-    loader = DataLoader(Slow(), **worker_options(2))
+    loader = Loader(Slow(), 1, 2, default_collate)
     quiet = {"logger": False, "enable_progress_bar": False, "enable_model_summary": False, "accelerator": "cpu"}
     Trainer(enable_checkpointing=False, **quiet).test(BoringModel(), loader, verbose=False)
 
@@ -259,19 +260,31 @@ def reader(folder: Path, dies: bool) -> subprocess.Popen[str]:
 def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     output, errors = (process := reader(tmp_path, dies=True)).communicate(timeout=120)
     assert (process.returncode, output) == (1, "")
-    assert errors.startswith("a process that reads the data was killed (out of memory?). Run the same command again")
+    assert errors.startswith("data.num_workers=2: a loader process ended (out of memory?). Run the same command again")
     assert len(errors.splitlines()) == 1
+
+
+def started_reader(folder: Path) -> subprocess.Popen[str]:
+    """Start a reader and return when its processes have read some samples."""
+    process, deadline_s = reader(folder, dies=False), time.monotonic() + 120
+    while not (folder / "4.read").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    return process
+
+
+@pytest.mark.slow(15)
+def test_processes_that_read_end_with_a_training_that_is_killed(tmp_path):
+    process = started_reader(tmp_path)
+    process.kill()
+    process.communicate(timeout=60)  # returns when no process has the other ends of the pipes
 
 
 @pytest.mark.slow(15)
 def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     """A terminal sends it to the whole group, also to the processes that read."""
-    process = reader(tmp_path, dies=False)
-    deadline_s = time.monotonic() + 120
-    while not (tmp_path / "4.read").exists():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+    process = started_reader(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
     assert process.communicate(timeout=60) == ("", "stopped by Ctrl-C\n")
     assert process.returncode == 130
@@ -299,3 +312,10 @@ def test_other_errors_of_the_code_keep_their_traceback():
 
     with pytest.raises(RuntimeError, match="CUDA"):
         lines_not_tracebacks(wrong)()
+
+
+def test_a_disk_that_a_library_finds_full_or_read_only_has_a_remedy(tmp_path):
+    full = OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "csv"))
+    assert line_of(full).startswith(f"cannot write {tmp_path / 'csv'}: the disk is full: free some space, then")
+    missing = FileNotFoundError(errno.ENOENT, "No such file", "csv")
+    assert line_of(missing) == str(missing)

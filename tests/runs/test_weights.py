@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -6,7 +8,7 @@ from safetensors.torch import load_file, save_file
 from omniocc.errors import UserError
 from omniocc.runs import weights as module
 from omniocc.runs.checkpoint import load_checkpoint
-from omniocc.runs.weights import SUFFIX, find_checkpoint, pack_weights, read_weights, shipped
+from omniocc.runs.weights import FORMAT, SUFFIX, digest_of, find_checkpoint, pack_weights, read_weights, shipped
 
 WEIGHTS = {"model.a": torch.randn(3, 4), "model.steps": torch.tensor(7), "prior": torch.arange(4, dtype=torch.uint8)}
 CONFIG, FACTS = {"model": {"num_classes": 12}, "data": {"rig": "fisheye6"}}, {"steps": 30, "commit": "abc"}
@@ -59,6 +61,18 @@ def test_damage_is_named(packed):
         load_checkpoint(packed)
     with pytest.raises(FileNotFoundError, match="no such file of weights"):
         read_weights(packed.with_name("lost.safetensors"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("stage", None), ("stage", 3), ("config", [1]), ("config", "text"), ("facts", None), ("facts", []), ("sha256", 7)],
+)
+def test_a_header_with_a_value_of_another_type_is_named(key, value, tmp_path):
+    path = tmp_path / f"own{SUFFIX}"
+    about = {"stage": "depth", "config": CONFIG, "facts": FACTS, "sha256": digest_of(WEIGHTS)} | {key: value}
+    save_file(WEIGHTS, path, {FORMAT: json.dumps(about)})
+    with pytest.raises(UserError, match=rf"own.safetensors is damaged: its header .*its {key} is "):
+        read_weights(path)
 
 
 def test_files_of_others_are_named(tmp_path):

@@ -63,6 +63,12 @@ def check_rigid(pose: Float64[Tensor, "4 4"], name: str) -> None:
         )
 
 
+def check_road(road_z_m: float | None) -> None:
+    """Raise ValueError if the height of a road in the frame of a rig, m, is none; None: it is not known."""
+    if road_z_m is not None and not -100 < road_z_m < 0:
+        raise ValueError(f"road_z_m is {road_z_m}; it must be below 0, in metres: the road is below the rig")
+
+
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
     """Return cosine and sine, exact at multiples of 90 degrees."""
     quarter = angle_deg / 90

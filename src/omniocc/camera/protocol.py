@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -42,10 +42,15 @@ class Camera(Protocol):
         ...
 
 
+def is_finite(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a finite number; a truth value is none."""
+    # the bound also excludes nan, and whole numbers that are too large for a float
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
 def finite(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError unless it is a finite number."""
-    # the bound also excludes nan, and whole numbers that are too large for a float
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+    if not is_finite(value):
         raise ValueError(f"{name} is {repr_of(value)}; it must be a finite number")
     return float(value)
 

@@ -49,7 +49,7 @@ from omniocc.camera.models.panoramic import Panoramic
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.ops.pixels import pixel_centers, usable
-from omniocc.camera.pose import check_rigid, invert_pose, pose_from_angles
+from omniocc.camera.pose import check_rigid, check_road, invert_pose, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 from omniocc.errors import repr_of
 from omniocc.images import MOST_PIXELS
@@ -107,8 +107,7 @@ class Rig:
             raise ValueError(
                 f"{len(self.masks)} masks for {count} cameras; give one each, None for a camera without a mask"
             )
-        if self.road_z_m is not None and not -100 < self.road_z_m < 0:
-            raise ValueError(f"road_z_m is {self.road_z_m}; it must be below 0, in metres: the road is below the rig")
+        check_road(self.road_z_m)
         for index, (name, camera, mask) in enumerate(zip(self.names, self.cameras, self.each_mask, strict=True)):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
             if camera.width * camera.height > MOST_PIXELS:
@@ -340,10 +339,10 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
 
 
 def _check_keys(entry: dict[str, Any], required: list[str], optional: list[str], prefix: str = "") -> None:
-    for key in required:
-        if key not in entry:
-            raise ValueError(f"{prefix}{key} is missing")
     known = required + optional
+    if missing := [f"{prefix}{key}" for key in required if key not in entry]:
+        needed = ", ".join(required) + "".join(f", {key} (optional)" for key in optional)
+        raise ValueError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; keys: {needed}")
     for key in entry:
         if key not in known:
             raise ValueError(f"unknown key {prefix}{key}{_did_you_mean(str(key), known)}; keys: {', '.join(known)}")

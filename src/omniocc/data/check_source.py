@@ -18,7 +18,7 @@ from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, Source
 from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.reader import SceneReader
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError, reason_of
 from omniocc.geometry import Grid
 from omniocc.parallel import mapped
 from omniocc.progress import Progress
@@ -83,7 +83,7 @@ def frames_of(scene: SceneFrames) -> int:
     """Return the number of frames; 0 if the scene cannot even tell that, which `check_scene` reports."""
     try:
         return len(scene)
-    except (DataError, ValueError):
+    except (DataError, *FAULTS):
         return 0
 
 
@@ -104,8 +104,8 @@ def check_scene(scene: SceneFrames, expected: Expected, frames: int) -> tuple[li
             problems += found
             voxels += [] if labels is None else [start_of_rays(labels, expected.geometry)]
             read += 1
-    except (DataError, ValueError) as error:
-        problems.append(str(error))
+    except (DataError, *FAULTS) as error:
+        problems.append(_line(f"scene '{scene.name}'", error))
     return list(dict.fromkeys([*problems, *_grid(scene, expected.spec, voxels)])), read
 
 
@@ -125,12 +125,12 @@ def check_frame(scene: SceneFrames, expected: Expected, frame: int) -> tuple[lis
             "benchmark": partial(expected.labels.benchmark, scene),
         }
     problems, found = [], {}
+    where = f"scene '{scene.name}', frame {frame}"
     for name, part in parts.items():
         try:
             found[name] = part(frame)
-        except (DataError, ValueError) as error:
-            problems.append(str(error))
-    where = f"scene '{scene.name}', frame {frame}"
+        except (DataError, *FAULTS) as error:
+            problems.append(_line(f"{where}: {name}", error))
     for name, arrays_of in LABELS.items():
         if found.get(name) is not None:
             lines = _classes(arrays_of(found[name]), expected.spec.classes.num_classes)
@@ -138,6 +138,11 @@ def check_frame(scene: SceneFrames, expected: Expected, frame: int) -> tuple[lis
     if found.get("points") is not None:
         problems += [f"{where}: {line}" for line in _points(found["points"], expected.spec.reach_m)]
     return problems, found.get("voxels")
+
+
+def _line(where: str, error: Exception) -> str:
+    """Return a line about an error: those of readers name scene and frame, others do not."""
+    return str(error) if isinstance(error, DataError | ValueError) else f"{where}: {reason_of(error)}"
 
 
 def start_of_rays(voxels: Tensor, geometry: Grid) -> int | None:

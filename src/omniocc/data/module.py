@@ -16,27 +16,13 @@ from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.loader import Loader
 from omniocc.data.origins import Origins
 from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, VoxelLabels
 from omniocc.data.store.reader import SceneReader
-from omniocc.errors import UserError
+from omniocc.errors import UserError, moved_by
 from omniocc.geometry import Grid
-from omniocc.parallel import limit_threads, start_fork_server
 from rayiou.directions import rays_around
-
-
-def worker_options(num_workers: int) -> dict[str, Any]:
-    """Return the arguments of a `DataLoader` for its processes, each with one thread; 0 reads in this process."""
-    if num_workers:
-        start_fork_server()
-    return {
-        "num_workers": num_workers,
-        "worker_init_fn": limit_threads,
-        # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
-        "multiprocessing_context": "forkserver" if num_workers else None,
-        "pin_memory": torch.cuda.is_available(),  # copies to the GPU run beside its work
-    }
-
 
 # Both derive from DistributedSampler so that Lightning leaves them in place under DDP. Its own would start an
 # interrupted epoch from its beginning, and score some test samples twice.
@@ -188,9 +174,11 @@ class OccupancyData(LightningDataModule):
         Raises:
             UserError: if the source has another number of classes than the model.
         """
-        self.source.prepare()
+        with moved_by("paths.data"):
+            self.source.prepare()
         self.check_classes()
-        self.voxels.prepare([scene for split in SPLITS for scene in self.source.scenes(split)])
+        with moved_by("data.source.cache"):
+            self.voxels.prepare([scene for split in SPLITS for scene in self.source.scenes(split)])
 
     @cached_property
     def spec(self) -> SourceSpec:
@@ -276,7 +264,8 @@ class OccupancyData(LightningDataModule):
 
     def voxel_counts(self) -> Int64[Tensor, "C X Y Z"]:
         """Return the number of training frames in which each cell has each class."""
-        return self.voxels.counts(self.dataset("train").scenes)
+        with moved_by("data.source.cache"):
+            return self.voxels.counts(self.dataset("train").scenes)
 
     def train_dataloader(self) -> DataLoader[Batch]:
         """Return the shuffled loader; the last incomplete batch of an epoch is left out.
@@ -335,12 +324,12 @@ class OccupancyData(LightningDataModule):
     def _loader(
         self, dataset: WindowDataset, sampler: EpochSampler | RankSampler, drop_last: bool
     ) -> DataLoader[Batch]:
-        return DataLoader(
+        return Loader(
             dataset,
             self.batch_size,
+            self.num_workers,
+            collate,
             sampler=sampler,
             drop_last=drop_last,
-            collate_fn=collate,
             persistent_workers=self.num_workers > 0,
-            **worker_options(self.num_workers),
         )

@@ -19,9 +19,12 @@ from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, re
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.range_files import point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
-from omniocc.predict.road import check_within, on_road, road_line
+from omniocc.predict.road import NO_ROAD, check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import load
+
+SWEEP = "sweep"
+"""Value of `checkpoint` that chooses the option of `model/depth`, without weights, as null does."""
 
 ShowRanges = Callable[[FrameFiles, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
 """Shows the panorama of one frame: given the frame, its images, their rig, the ranges and their directions."""
@@ -41,6 +44,8 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
         print(line, flush=True)
     check_within(cfg.road_within)
     model, image_width = choose_model(cfg, overrides, rig)
+    if rig.road_z_m is None and getattr(model, "hints", False):
+        print(f"road      {NO_ROAD}", flush=True)
     device = choose_device(cfg.device)
     for frame in frames:
         print(predict_frame(cfg, frame, rig, model, image_width, device=device, show=show), flush=True)
@@ -50,15 +55,18 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
     """Return the depth option, and the width of the images that it is applied to (None: the rig's).
 
     Raises:
-        UserError: naming the override that the checkpoint sets, or what does not fit.
+        UserError: naming the override that the weights set, or what does not fit.
     """
-    if cfg.checkpoint is None:
+    if cfg.checkpoint in (None, SWEEP):
         check(OmegaConf.create({"depth": OmegaConf.to_container(cfg.depth, resolve=True)}))
         return Parts(cfg).depth().eval(), cfg.image_width
     overrides = [text.lstrip("+") for text in overrides]
     conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
     if conflicting:
-        raise UserError(f"{conflicting[0]}: the checkpoint sets this; leave it out, or leave out the checkpoint")
+        raise UserError(
+            f"{conflicting[0]}: checkpoint={cfg.checkpoint} sets this; leave it out, or choose checkpoint={SWEEP}, "
+            "the option of model/depth without weights"
+        )
     trained = load(cfg.checkpoint, [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
     return trained.depth, cfg.image_width if chosen else trained.facts.width_for(rig)

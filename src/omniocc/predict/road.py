@@ -18,6 +18,12 @@ LIKE_ROAD = 0.25
 WITHIN = 0.25
 """Spheres around a flat road whose ranges are drawn onto it, where nothing else is chosen."""
 
+NO_ROAD = (
+    "its height is not known (road_z_m in the rig file): of the ranges on a calibration cloth 44 instead of "
+    "80 % are within 10 % (any-rig, docs/predict.md)"
+)
+"""What a user is told about a rig that does not state the height of the road, and a network that is told it."""
+
 
 def check_within(value: object) -> float:
     """Return the option `road_within`; raise UserError unless it is a number of spheres, 0 or more."""

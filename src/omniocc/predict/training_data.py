@@ -9,6 +9,7 @@ from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
 from omniocc.data.source import Ignore
 from omniocc.data.source.cameras import training_rig
+from omniocc.predict.road import NO_ROAD
 
 UNMOVED_M = 0.0005
 """Distance that an origin may move without a word."""
@@ -81,7 +82,9 @@ class TrainingData:
         here_m, there_m, height_m, line = rig.road_z_m, self.road_z_m, 0.0, ""
         if here_m is None and self.has(rig):
             return rig, 0.0, ""
-        if there_m is None:
+        if here_m is None and there_m is None:
+            line = NO_ROAD
+        elif there_m is None:
             line = "at another height for every rig of the training: the grid stays around the origin of the rig"
         elif here_m is None:
             line = f"its height is not known (road_z_m): taken for {there_m:g} m, as in training; "

@@ -9,20 +9,11 @@ from typing import Any
 import torch
 from lightning.pytorch.plugins.io import CheckpointIO
 
-from omniocc.errors import UserError
+from omniocc.errors import FAULTS, UserError
 from omniocc.io import atomic_write, remove_leftovers
 from omniocc.runs.weights import BEST, LAST, shipped
 
-UNREADABLE = (
-    zipfile.BadZipFile,
-    pickle.UnpicklingError,
-    RuntimeError,
-    OSError,
-    EOFError,
-    LookupError,
-    ValueError,
-    MemoryError,
-)
+UNREADABLE = (*FAULTS, pickle.UnpicklingError, OSError, MemoryError)
 """Errors of `zipfile` and `torch.load` for files that are damaged or of another kind."""
 
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from omniocc.config import PACKAGES, PACKAGES_VARIABLE
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
+from omniocc.lock import Held, acquire
 from omniocc.runs.checkpoint_io import LAST, no_checkpoint_message, resumable
 from omniocc.runs.distributed import broadcast, is_first, started_by_others
 from omniocc.runs.results import METRICS, load_results
@@ -179,15 +180,12 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
     number, candidate = 2, path
     while fresh and candidate.exists():
         number, candidate = number + 1, path.with_name(f"{path.name}-{number}")
-    candidate.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(candidate / ".lock", timeout=0)
     try:
-        lock.acquire()
-    except Timeout:
+        return candidate, acquire(candidate / ".lock")
+    except Held as held:
         raise UserError(
-            f"another process is working in {candidate}; wait for it, or give this run another name=..."
+            f"another process is working in {candidate}; wait for it, or give this run another name=...{held.remedy}"
         ) from None
-    return candidate, lock
 
 
 def command_line() -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from omniocc.config import fits
-from omniocc.errors import UserError, first_line, in_line, repr_of
+from omniocc.errors import FAULTS, UserError, first_line, in_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from rayiou.ray_counts import RayCounts, ray_scores
 
@@ -113,7 +113,7 @@ def _naming(folder: Path) -> Iterator[None]:
     """Raise UserError naming the file of a folder if what is done with its content fails."""
     try:
         yield
-    except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError, OverflowError) as error:
+    except FAULTS as error:
         reason = first_line(error)
         path = folder / SCENES
         raise UserError(f"{path} is damaged ({reason}); without it the run has no scores by scene") from error

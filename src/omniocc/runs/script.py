@@ -14,6 +14,7 @@ import warnings
 from argparse import Action, ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
+from errno import EDQUOT, ENOSPC, EROFS
 from io import TextIOWrapper
 from itertools import accumulate
 from pathlib import Path
@@ -27,6 +28,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
 from omniocc.errors import INTERRUPTED, UserError
+from omniocc.io import cannot_write
 from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
@@ -62,7 +64,7 @@ def lines_not_tracebacks(main: Callable[..., None], again: str = "") -> Callable
             main(*args)
         except (UserError, OSError) as error:
             if not (isinstance(error, BrokenPipeError) and output_is_closed()):
-                sys.exit(str(error))
+                sys.exit(line_of(error))
         except RuntimeError as error:
             if not LOADER_KILLED.match(str(error)):
                 raise
@@ -103,6 +105,13 @@ def is_ctrl_c(end: BaseException) -> bool:
     """Return whether Ctrl-C has raised this, or Lightning's exit with code 1 that hides it."""
     lightning = isinstance(end, SystemExit) and end.code == 1 and isinstance(end.__context__, KeyboardInterrupt)
     return lightning or isinstance(end, KeyboardInterrupt)
+
+
+def line_of(error: UserError | OSError) -> str:
+    """Return an error's message, with the remedy where a library finds a disk full or read-only."""
+    if isinstance(error, OSError) and error.errno in (ENOSPC, EROFS, EDQUOT) and error.filename is not None:
+        return str(cannot_write(Path(error.filename), error))
+    return str(error)
 
 
 def output_is_closed() -> bool:

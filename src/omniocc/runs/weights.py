@@ -12,13 +12,15 @@ from safetensors.torch import save
 from torch import Tensor
 
 import omniocc
-from omniocc.errors import UserError, first_line
+from omniocc.errors import FAULTS, UserError, first_line, repr_of
 from omniocc.io import atomic_write, parse_json
 
 SHIPPED = Path(omniocc.__file__).parent / "weights"
 """Folder of the weights that come with the package; beside each a card (`<name>.md`) says what it is good for."""
 SUFFIX = ".safetensors"
 FORMAT = "omniocc-weights-1"
+HEADER: dict[str, type] = {"stage": str, "config": dict, "facts": dict, "sha256": str}
+"""Keys of the text in a header, and their types."""
 LAST, BEST = "last.ckpt", "best.ckpt"
 """Checkpoints of a run, in its folder."""
 
@@ -82,7 +84,7 @@ def read_weights(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
             weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    except (SafetensorError, OSError) as error:
+    except (SafetensorError, OSError, *FAULTS) as error:
         raise UserError(f"{path} is damaged or not a file of weights: {error}") from error
     if FORMAT not in metadata:
         raise UserError(f"{path} is not a file of weights of this platform: it has no '{FORMAT}' in its header")
@@ -94,12 +96,15 @@ def read_weights(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _about(path: Path, text: str) -> dict[str, Any]:
-    """Return what the header of a file of weights tells; raise UserError when it is cut, or has a key twice."""
+    """Return what the header of a file of weights tells; raise UserError when it is damaged."""
     try:
         about = parse_json(text)
-        if not isinstance(about, dict) or not about.keys() >= {"stage", "config", "facts", "sha256"}:
-            raise ValueError("stage, config, facts or sha256 is missing")
-    except ValueError as error:
+        if not isinstance(about, dict):
+            raise ValueError(f"it is {repr_of(about)}, no mapping")
+        for key, kind in HEADER.items():
+            if not isinstance(value := about.get(key), kind):
+                raise ValueError(f"its {key} is {repr_of(value)}, no {'text' if kind is str else 'mapping'}")
+    except FAULTS as error:
         raise UserError(f"{path} is damaged: its header cannot be read ({first_line(error)})") from error
     return about
 

@@ -24,6 +24,11 @@ class TrainingTime(Callback):
         self._began_s: float | None = None
 
     @property
+    def began(self) -> bool:
+        """Return whether training is under way: what it goes on from has been read."""
+        return self._began_s is not None
+
+    @property
     def minutes(self) -> float:
         """Return the time so far, rounded to a tenth of a minute."""
         return round(self._seconds() / 60, 1)

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
-from omniocc.data.module import worker_options
+from omniocc.data.loader import Loader
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.progress import Progress
@@ -50,7 +50,7 @@ class FrameOutputs(NamedTuple):
     ) -> None:
         """Predict for all frames of these scenes on a device; loader processes read the inputs."""
         task.to(device).eval()
-        inputs = iter(DataLoader(Frames(missing, self.read), batch_size=None, **worker_options(num_workers)))
+        inputs = iter(Loader(Frames(missing, self.read), None, num_workers, tuple))
         with Progress(f"{title}, {self.what}", sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
                 frames = []

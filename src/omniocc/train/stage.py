@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from omniocc.camera import Rig
 from omniocc.data import Needs, OccupancyData
 from omniocc.data.source.cameras import first_rig
+from omniocc.errors import FAULTS, UserError, moved_by, reason_of
 from omniocc.io import atomic_write
 from omniocc.parts import Parts
 from omniocc.runs.checkpoint import load_checkpoint
@@ -133,6 +134,7 @@ class Stage(ABC):
             recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, trainer.accumulate_grad_batches
         )
 
+    @moved_by("paths.runs")
     def run(self, title: str) -> dict[str, float]:
         """Train and test unless that is done, predict what later stages read, and return the figures."""
         with self.lock(title) as place:
@@ -186,7 +188,13 @@ class Stage(ABC):
             announce_stage(title, task, data, place, weights_line)
         trains = self.learns and recipe.max_steps != 0
         if trains:
-            trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
+            try:
+                trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
+            except FAULTS as error:
+                if place.checkpoint is None or duration.began or isinstance(error, UserError):
+                    raise
+                reason = f"training cannot go on from it ({reason_of(error)}); move it elsewhere to train anew"
+                raise UserError(f"{place.checkpoint} is damaged or of another version: {reason}") from error
         minutes, tested_checkpoint = duration.minutes, None  # now: a checkpoint loaded for the test brings its own time
         if trains and self.TESTS_BEST:
             trainer.save_checkpoint(last)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import torch
-from filelock import FileLock, Timeout
 from lightning.pytorch import Trainer
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
@@ -27,6 +26,7 @@ from omniocc.data.dataset import read_images
 from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
+from omniocc.lock import Held, acquire
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
 from omniocc.progress import show_waiting
@@ -384,13 +384,11 @@ def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tenso
 @contextmanager
 def lock_folder(folder: Path, title: str) -> Iterator[None]:
     """Lock a stage's folder; wait while another process works in it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / ".lock")
     try:
-        lock.acquire(timeout=0)
-    except Timeout:
+        lock = acquire(folder / ".lock")
+    except Held:
         with show_waiting(title, f"waits for another process that works in {folder}"):
-            lock.acquire()
+            lock = acquire(folder / ".lock", wait=True)
     try:
         yield
     finally:

@@ -205,3 +205,23 @@ def test_rendered_scenes_and_logs_do_not_share_a_grid_beyond_the_rendered_points
     with pytest.raises(DataError, match=r"end at 26 m, those of logs do not.*data\.source\.splits"):
         source.labels(far, "none")
     assert source.labels(GRID, "none").beyond is None
+
+
+@pytest.mark.parametrize(
+    ("splits", "said"),
+    [
+        (None, "splits has None"),
+        (7, "splits has 7"),
+        ([[0.0], [1.0]], "splits has "),
+        ({"train": [None], "val": [], "test": []}, r"splits\.train is \[None\]; give a list of names"),
+        ({"train": [["a"]], "val": [], "test": []}, r"splits\.train is .*; give a list of names"),
+        ({"train": "night-*", "val": [], "test": []}, r"splits\.train is 'night-\*'; give a list of names"),
+        ({"train": 1, "val": None, "test": 0}, r"splits\.val is None"),
+        ({"train": 10**400, "val": 0, "test": 0}, r"splits\.train is 1000"),
+        ({"train": float("nan"), "val": 0, "test": 0}, r"splits\.train is nan"),
+    ],
+)
+def test_a_damaged_file_of_splits_is_named(splits, said, root):
+    (root / "splits.json").write_text(json.dumps(splits))
+    with pytest.raises(DataError, match=rf"splits\.json: .*{said}"):
+        _ = Recorded(str(root)).names

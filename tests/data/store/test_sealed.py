@@ -14,7 +14,7 @@ from omniocc.camera.protocol import finite
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data import SceneReader
 from omniocc.data.source.recorded import spec_of
-from omniocc.data.store.codec import encode_lidar, encode_range, pack
+from omniocc.data.store.codec import FACTS, LIDAR, encode_lidar, encode_range, pack
 from omniocc.data.store.shard import INDEX
 from omniocc.errors import DataError
 
@@ -210,3 +210,68 @@ def test_a_rig_that_is_wrong_is_named_in_its_scene(tmp_path):
     changed_file(scene.folder, "rig.yaml", text.replace("front:", "../front:", 1).encode())
     with pytest.raises(DataError, match=rf"^{scene.folder}/rig\.yaml: the name of a camera is '\.\./front'"):
         _ = SceneReader(scene.folder).rig
+
+
+def changed_index(folder, change):
+    """Change the index of a scene, with the checksums that fit."""
+    index = json.loads((folder / INDEX).read_text())
+    change(index["frames"])
+    changed_file(folder, INDEX, json.dumps(index).encode())
+    return SceneReader(folder)
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ([{"time_s": 1.0}, {"time_s": 0.5}], "the time runs backwards from frame 0 to 1"),
+        (
+            [{"world_from_ego": np.diag([1e300, 1, 1, 1])[:, [1, 2, 3, 0]].tolist()}, {}],
+            "its position is 1e.300 m away",
+        ),
+    ],
+)
+def test_times_and_poses_that_cannot_be_are_named(entries, said, tmp_path):
+    scene_of(tmp_path / "scene", {}, {})
+    scene = changed_index(
+        tmp_path / "scene",
+        lambda frames: [row["entry"].update(entry) for row, entry in zip(frames, entries, strict=True)],
+    )
+    with pytest.raises(DataError, match=rf"scene/index\.json: scene 'scene': .*{said}"):
+        _ = scene.time_s
+
+
+def test_a_scene_without_times_is_named(tmp_path):
+    scene_of(tmp_path / "scene", {})
+    scene = changed_index(tmp_path / "scene", lambda frames: frames[0].update(entry={}))
+    with pytest.raises(DataError, match=r"scene/index\.json: .*it has no times and poses"):
+        _ = scene.world_from_ego
+
+
+def test_a_scene_without_frames_is_named(tmp_path):
+    scene_of(tmp_path / "scene", {})
+    changed_meta(tmp_path / "scene", frames=0)
+    with pytest.raises(DataError, match=r"scene/meta\.json: .*'frames' is 0; a scene has at least one"):
+        len(SceneReader(tmp_path / "scene"))
+
+
+def test_images_of_other_cameras_than_those_of_the_rig_are_named(tmp_path):
+    scene = scene_of(tmp_path / "scene", {"rgb0.jpg": b"", "rgb7.jpg": b""})
+    with pytest.raises(DataError, match=r"scene/rig\.yaml: .*it has 4 cameras, the frames have rgb0\.jpg, rgb7\.jpg"):
+        _ = scene.rig
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"label": 10**400}, r"the label of a box is 1000.*must be 0 to 255"),
+        ({"size_m": [4.0, -2.0, 1.5]}, r"the size_m of a box is \(4\.0, -2\.0, 1\.5\); no length is below 0"),
+    ],
+)
+def test_boxes_that_cannot_be_are_named(change, said, tmp_path):
+
+    rays = len(SceneReader.lidar.__globals__["_lidar_directions"]())
+    lidar = encode_lidar(np.ones(rays, np.float32), np.ones(rays, np.uint8))
+    facts = json.dumps({"boxes": [BOX | change]}).encode()
+    scene = scene_of(tmp_path / "scene", {FACTS: facts, LIDAR: lidar})
+    with pytest.raises(DataError, match=rf"frame 0, member 'frame\.json': it cannot be decoded .*{said}"):
+        scene.lidar(0)

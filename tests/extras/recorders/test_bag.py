@@ -169,6 +169,13 @@ def test_points_of_a_bag_that_fill_the_memory_are_refused():
         cloud_of(message, None, "here")
 
 
+def test_a_row_that_is_too_short_for_its_points_is_told_not_the_bytes():
+    message = cloud(FLOATS, [[1, 2, 3, 4], [5, 6, 7, 8]])
+    message.row_step = 0
+    with pytest.raises(DataError, match=r"its row_step is 0, but a row of 2 points of 16 bytes has 32; "):
+        cloud_of(message, None, "here")
+
+
 def test_many_fields_of_points_are_compared_in_no_time():
     fields = [*FLOATS, *((f"more{number}", 0, 2) for number in range(50_000))]
     assert cloud_of(cloud(fields, [[1, 2, 3, 4]]), None, "here").points_m.tolist() == [[1, 2, 3]]

@@ -107,7 +107,19 @@ def test_what_is_wrong_gets_one_line(read, text, message):
 
 def test_the_file_of_a_pose_is_named_not_that_of_its_time(read):
     with pytest.raises(DataError, match=r"poses\.csv, line 1: 13 numbers of a pose; poses_format=kitti has 12"):
-        read("1 1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti", "0.0\n")
+        read("1 1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti", "0.0\n1.0\n")
+    with pytest.raises(DataError, match=r"times\.txt: 2 times, but .*poses\.csv holds 1 poses"):
+        read("1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti", "0.0\n1.0\n")
+
+
+def test_ground_truth_of_euroc_is_read_without_its_header_too(read):
+    found = read("1,4.6,-1.7,.78,.5341081,-.1530291,-.8273831,-.0821521,-.027,.033,.8,-.0031,.021,.078,-.025,.136,.075")
+    assert found.poses[0, :3, 3].tolist() == [4.6, -1.7, 0.78]
+    assert found.poses[0, 0, 0] == pytest.approx(-0.38262196)
+    matrix = read("1,1,0,0,5,0,1,0,6,0,0,1,7,0,0,0,1")
+    assert matrix.poses[0, :3, 3].tolist() == [5, 6, 7]
+    with pytest.raises(DataError, match=r"line 1: the last row of the matrix is"):
+        read("1,1,0,0,5,0,.5,0,6,0,0,1,7,0,0,0,2")
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,13 @@ def test_own_images_are_streamed_without_truth(of_images, cylinder_run, predict,
 
 def test_ranges_are_streamed_as_they_come(of_images, composed, tmp_path):
     _, images = of_images
-    overrides = ["preset=smoke", f"images={images}", f"rig={images / 'rig.yaml'}", f"output={tmp_path / 'out'}"]
+    overrides = [
+        "checkpoint=sweep",
+        "preset=smoke",
+        f"images={images}",
+        f"rig={images / 'rig.yaml'}",
+        f"output={tmp_path / 'out'}",
+    ]
     with to_file(tmp_path / "v.rrd", "title") as recording:
         predict_panoramas(composed(*overrides, name="predict_depth"), overrides, RangeStream(recording))
     found = read(tmp_path / "v.rrd")

@@ -35,6 +35,23 @@ def test_folders_are_frames_in_the_order_of_their_names(tmp_path):
     assert frames[1].files == (tmp_path / "0010/front.png", tmp_path / "0010/back.png")
 
 
+def test_a_folder_of_each_camera_holds_the_frames(tmp_path):
+    for camera in ("front", "back", "left"):
+        for frame in ("10", "9"):
+            save(tmp_path / camera / f"{frame}.png")
+    frames = find_frames(str(tmp_path), RIG)
+    assert [frame.name for frame in frames] == ["9", "10"]
+    assert frames[0].files == (tmp_path / "front/9.png", tmp_path / "back/9.png")
+    assert list(remarks(frames, RIG)) == []
+    (tmp_path / "back/9.png").unlink()
+    with pytest.raises(UserError, match=r"back: no image of frame '9'"):
+        find_frames(str(tmp_path), RIG)
+    assert find_frames(str(tmp_path), RIG, ["back"])[0].files == (tmp_path / "front/9.png", None)
+    save(tmp_path / "back/10.jpg")
+    with pytest.raises(UserError, match=r"back: several images of frame '10'"):
+        find_frames(str(tmp_path), RIG)
+
+
 def test_a_list_has_the_order_of_the_rig(tmp_path):
     paths = [save(tmp_path / "x.png"), save(tmp_path / "y.png")]
     assert find_frames([str(path) for path in paths], RIG) == [FrameFiles("", tuple(paths))]

@@ -87,3 +87,8 @@ def test_a_file_that_is_no_text_is_named(tmp_path):
     path.write_bytes(b"a,0,0,0,1,0,0,0\n\xff\xfe")
     with pytest.raises(DataError, match=r"poses\.csv: the file is damaged: it is no text"):
         read_poses(path, ["a"])
+
+
+def test_ground_truth_of_euroc_is_no_matrix(tmp_path):
+    euroc = read_poses(written(tmp_path, "a,1,2,3,0.8,0,0,0.6,9,9,9,9,9,9,9,9,9\n"), ["a"])
+    assert torch.equal(euroc, read_poses(written(tmp_path, f"{HEAD}a,1,2,3,.8,0,0,.6\n"), ["a"]))

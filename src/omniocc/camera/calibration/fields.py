@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
-from omniocc.errors import DataError, repr_of, shortened
+from omniocc.errors import FAULTS, DataError, reason_of, repr_of, shortened
 from omniocc.images import read_mask
 from omniocc.io import number_of
 
@@ -31,11 +31,14 @@ class Calibration(NamedTuple):
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Put the name of a file or camera in front of the message of a ValueError that is raised in the block."""
+    """Raise ValueError that begins with the name of a file or camera for what its content causes in the block."""
     try:
         yield
-    except ValueError as error:
-        raise ValueError(f"{place}: {shortened(str(error))}") from error
+    except DataError:
+        raise
+    except (OSError, *FAULTS) as error:
+        reason = str(error) if isinstance(error, ValueError) else reason_of(error)
+        raise ValueError(f"{place}: {shortened(reason)}") from error
 
 
 def mapping(value: Any, what: str) -> dict[Any, Any]:
@@ -73,10 +76,7 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
     key = next(key for key in keys if key in entry)
     if isinstance(value, dict):
         value = _matrix_data(key, value)
-    elif isinstance(value, list) and value and all(isinstance(line, list) for line in value):
-        if len({len(line) for line in value}) > 1:
-            raise ValueError(f"{key} is {repr_of(value)}; its rows differ in length; is the file whole?")
-        value = [item for line in value for item in line]
+    value = _flat(key, value)
     if not isinstance(value, list) or (count is not None and len(value) != count):
         raise ValueError(f"{key} is {repr_of(value)}; it must be {count or 'a list of'} numbers; is the file whole?")
     return [_number(key, item) for item in value]
@@ -149,8 +149,17 @@ def _whole(key: str, value: Any) -> int:
     return int(result)
 
 
+def _flat(key: str, value: Any) -> Any:
+    """Return the items of a list of rows; anything else as it is; raise ValueError if the rows differ in length."""
+    if not isinstance(value, list) or not value or not all(isinstance(line, list) for line in value):
+        return value
+    if len({len(line) for line in value}) > 1:
+        raise ValueError(f"{key} is {repr_of(value)}; its rows differ in length; is the file whole?")
+    return [item for line in value for item in line]
+
+
 def _matrix_data(key: str, value: dict[str, Any]) -> list[Any]:
-    data = required(value, "data")
+    data = _flat(key, required(value, "data"))
     count = whole(value, "rows") * whole(value, "cols")
     if not isinstance(data, list) or len(data) != count:
         held = len(data) if isinstance(data, list) else repr(data)

@@ -132,10 +132,11 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
     """Return cameras from `poly`, `inv_poly`, `center`, `affine`, `image_size`, `max_fov` and `pose`.
 
     A pose is a rotation vector and a position in metres, camera to rig; the rig frame (x right, y down, z forward) is
-    rotated into the ego frame. An `invalid_mask` is used if the file exists: not 0 where the image is unusable.
+    rotated into the ego frame. An `invalid_mask` is not 0 where the image is unusable. Published folders name masks and
+    hold none of them; the cameras then have none.
 
     Raises:
-        ValueError: naming the camera and the key.
+        ValueError: naming the camera and the key, or the mask that is not there although another camera's is.
     """
     cameras, poses, names, masks = [], [], [], []
     for index, entry in enumerate(required(content, "cameras")):
@@ -145,6 +146,9 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
             poses.append(_omnimvs_pose(row(entry, 6, "pose")))
             masks.append(_omnimvs_mask(folder / str(entry.get("invalid_mask", "")), cameras[-1]))
         names.append(name)
+    for name, mask, entry in zip(names, masks, content["cameras"], strict=True):
+        if mask is None and "invalid_mask" in entry and any(other is not None for other in masks):
+            raise ValueError(f"{name}: invalid_mask {folder / str(entry['invalid_mask'])} does not exist")
     if not cameras:
         raise ValueError("cameras is an empty list; is the file whole?")
     kept = None if all(mask is None for mask in masks) else tuple(masks)

@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, NamedTuple
 
+import cv2
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.data.formats.projected import Projected, onto_cameras, onto_panorama
 from omniocc.data.source import LidarScan, Points
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError, reason_of
 
 
 class Cloud(NamedTuple):
@@ -54,8 +55,9 @@ class DatasetScene:
         """Let errors of reading and impossible values name dataset, scene and frame."""
         try:
             yield
-        except (DataError, ValueError) as error:
-            raise DataError(f"{self.dataset}, scene '{self.name}', frame {frame}: {error}") from error
+        except (DataError, cv2.error, *FAULTS) as error:
+            where = f"{self.dataset}, scene '{self.name}', frame {frame}"
+            raise DataError(f"{where}: {reason_of(error)}") from error
 
     def cloud(self, frame: int) -> Cloud | None:
         """Return the points of the LiDAR; None without one."""

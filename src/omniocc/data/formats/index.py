@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from filelock import FileLock
 
 from omniocc.data.formats.arrays import npz_arrays
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError, moved_by
 from omniocc.io import atomic_write, cannot_write, checked_name
+from omniocc.lock import locked
 
 NAMES = "scenes.json"
 
@@ -48,11 +48,7 @@ class Index(Generic[Arrays]):
         """
         if (self.folder / NAMES).exists():
             return
-        try:
-            self.folder.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise cannot_write(self.folder.parent, error) from error
-        with FileLock(self.folder.with_suffix(".lock")):
+        with moved_by("data.source.cache"), locked(self.folder.with_suffix(".lock")):
             if not (self.folder / NAMES).exists():
                 self._write()
 
@@ -73,8 +69,9 @@ class Index(Generic[Arrays]):
     @cached_property
     def _listed(self) -> list[list[str]]:
         try:
-            return json.loads((self.folder / NAMES).read_text("utf-8"))
-        except (OSError, ValueError) as error:
+            listed = json.loads((self.folder / NAMES).read_text("utf-8"))
+            return [[checked_name("the name of a scene", name), str(sums)] for name, sums in listed]
+        except (OSError, *FAULTS) as error:
             raise DataError(f"{self.folder / NAMES}: the index cannot be read ({error}); remove the folder") from error
 
     def _write(self) -> None:

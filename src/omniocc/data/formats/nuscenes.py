@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError, first_line, repr_of
+from omniocc.errors import FAULTS, DataError, first_line, repr_of
 from omniocc.io import checked_name, object_of_pairs, twice
 from omniocc.progress import Progress
 
@@ -155,7 +155,7 @@ def _naming(path: Path) -> Iterator[None]:
     """Name the table whose records the block reads in the error about a value that is missing or wrong."""
     try:
         yield
-    except (KeyError, TypeError, ValueError) as error:
+    except FAULTS as error:
         raise DataError(f"{path}: a record lacks a value, or names one that is not there: {error}") from error
 
 
@@ -186,7 +186,14 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
     mib = sum(file.stat().st_size // MIB for file in files if file.exists())
     with Progress(f"index of {tables.name}", max(mib, 1), "MiB") as progress:
         path = tables / "scene.json"
-        scenes = once(path, ((r["token"], r["name"]) for r in records(path) if keep is None or r["name"] in keep))
+        scenes = once(
+            path,
+            (
+                (r["token"], checked_name("a scene", r["name"]))
+                for r in records(path)
+                if keep is None or r["name"] in keep
+            ),
+        )
         if not scenes:
             raise DataError(f"{path}: it has no record of a scene" + (" that is wanted" if keep is not None else ""))
         if (name := twice(scenes.values())) is not None:
@@ -263,5 +270,5 @@ def _pose(tables: Path, table: str, rows: Rows, token: str) -> np.ndarray:
         rotation, translation_m = rows[token]["rotation"], rows[token]["translation"]
         try:
             return quaternion_pose(rotation, translation_m, f"record {token}")
-        except (TypeError, ValueError) as error:
+        except FAULTS as error:
             raise DataError(f"{tables / table}.json: {error}") from error

@@ -38,6 +38,12 @@ def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], n
     return pose
 
 
+def is_euroc(values: Sequence[float]) -> bool:
+    """Return whether 16 numbers are EuRoC's: position, quaternion w, x, y, z, velocity, biases; not a 4x4 matrix."""
+    unit = abs(float(np.linalg.norm(values[3:7])) - 1) < TOLERANCE
+    return len(values) == 16 and unit and list(values[12:]) != [0, 0, 0, 1]
+
+
 def check_position(position_m: np.ndarray, name: str) -> None:
     """Raise ValueError beginning with `name` if a finite position, (..., 3), is nowhere on Earth."""
     if (farthest_m := float(np.abs(position_m).max(initial=0))) > FARTHEST_M:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import zstandard
-from filelock import FileLock
 from jaxtyping import Int64
 from torch import Tensor
 
@@ -16,6 +15,7 @@ from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.codec import decompress
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
+from omniocc.lock import locked
 from omniocc.progress import Progress
 from rayiou.labels import ids_beyond
 
@@ -64,7 +64,9 @@ def kept_counts(
     path: Path, shape: Sequence[int], count: Callable[[], Int64[Tensor, "C X Y Z"]]
 ) -> Int64[Tensor, "C X Y Z"]:
     """Return the counts (C, X, Y, Z) = `shape` in a file; where it is missing or damaged, count and write it."""
-    with FileLock(path.with_suffix(".lock")):  # of the processes of a run the first counts, the others wait
+    if (counts := _read(path, shape)) is not None:  # without a lock: the folder may be read-only
+        return counts
+    with locked(path.with_suffix(".lock")):  # of the processes of a run the first counts, the others wait
         counts = _read(path, shape)
         if counts is None:
             counts = count()
@@ -80,5 +82,5 @@ def _read(path: Path, shape: Sequence[int]) -> Int64[Tensor, "C X Y Z"] | None:
         raw = decompress(path.read_bytes(), 8 * math.prod(shape))
         return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(tuple(shape))
     except (zstandard.ZstdError, ValueError, RuntimeError) as error:
-        warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
+        warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=3)
         return None

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
+from omniocc.camera.protocol import is_finite
 from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
 from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.files import is_url, list_folders, read_json
@@ -17,7 +18,7 @@ from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.meta import DRAWN_RIG, ORIGIN, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError, repr_of
 from omniocc.geometry import Grid
 from omniocc.parallel import usable_cores
 
@@ -69,10 +70,14 @@ class Recorded:
         Raises:
             DataError: naming the split or scene that is missing, or the scene that is in two splits.
         """
-        splits = self.splits
-        if splits is None:
-            splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
-        return split_scenes(splits, list_folders(self.root, META), self.root)
+        folders = list_folders(self.root, META)
+        if self.splits is not None:
+            return split_scenes(self.splits, folders, self.root)
+        splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
+        try:
+            return split_scenes(splits, folders, self.root)
+        except DataError as error:
+            raise DataError(f"{self.root}/{SPLITS_FILE}: {error}") from error
 
     @cached_property
     def spec(self) -> SourceSpec:
@@ -154,7 +159,7 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
         drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(DRAWN_RIG)
         drawn = drawn and not isinstance(recipe.get(ORIGIN), float)
         return read_spec(facts["spec"] | ({"road_z_m": None} if drawn else {}))
-    except (KeyError, TypeError, ValueError) as error:
+    except FAULTS as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
 
 
@@ -180,9 +185,21 @@ def split_scenes(splits: Splits, available: Sequence[str], root: str) -> dict[Sp
     """
     if not available:
         raise DataError(f"data.source.root={root} holds no recorded scenes")
-    if set(splits) != set(SPLITS):
-        raise DataError(f"data.source.splits has {sorted(splits)}; it needs exactly {', '.join(SPLITS)}")
-    fractions = {split: value for split, value in splits.items() if isinstance(value, int | float)}
+    if not isinstance(splits, Mapping) or set(splits) != set(SPLITS):
+        found = sorted(map(str, splits)) if isinstance(splits, Mapping) else repr_of(splits)
+        raise DataError(f"data.source.splits has {found}; it needs exactly {', '.join(SPLITS)}")
+    fractions = {split: value for split, value in splits.items() if is_finite(value)}
+    for split, value in splits.items():
+        if is_finite(value):
+            continue
+        if (
+            not isinstance(value, Sequence)
+            or isinstance(value, str)
+            or not all(isinstance(part, str) for part in value)
+        ):
+            raise DataError(
+                f"data.source.splits.{split} is {repr_of(value)}; give a list of names or patterns, or a fraction"
+            )
     if fractions and len(fractions) < len(splits):
         raise DataError(f"data.source.splits={dict(splits)}: give fractions for all splits or for none")
     if fractions:

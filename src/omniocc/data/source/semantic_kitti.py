@@ -29,7 +29,7 @@ from omniocc.data.formats.poses import rigid
 from omniocc.data.source import Ignore, Split
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where, voxel_grid
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
+from omniocc.errors import DataError, reason_of
 from omniocc.geometry import Cuboid
 
 CAMERAS = ("image_2", "image_3")
@@ -178,7 +178,10 @@ class KittiSequence(CompletionScene):
         """Return the cameras, the same in every frame."""
         cameras, poses = [], []
         for name, (width, height) in zip(self.cameras, self.sizes, strict=True):
-            intrinsics, pose = camera_of(self.calibration, int(name[-1]))
+            try:
+                intrinsics, pose = camera_of(self.calibration, int(name[-1]))
+            except ValueError as error:
+                raise DataError(f"{self.folder / 'calib.txt'}: {reason_of(error)}") from error
             focal_px = (float(intrinsics[0, 0]), float(intrinsics[1, 1]))
             center_px = (float(intrinsics[0, 2]), float(intrinsics[1, 2]))
             offsets = (abs(center_px[0] / width - 0.5), abs(center_px[1] / height - 0.5))

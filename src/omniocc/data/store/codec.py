@@ -27,7 +27,9 @@ import numpy as np
 import zstandard
 
 from omniocc.camera.protocol import finite, numbers
+from omniocc.classes import UNKNOWN
 from omniocc.data.store.frame import RecordedFrame
+from omniocc.errors import repr_of
 from omniocc.frame import Box, Frame
 from omniocc.io import parse_json
 
@@ -224,9 +226,13 @@ def _of_bits(bits: int, pixels: np.ndarray) -> np.ndarray:
 def _decode_box(box: dict) -> Box:
     for key in ("id", "label"):
         if isinstance(box[key], bool) or not isinstance(box[key], int):
-            raise ValueError(f"the {key} of a box is {box[key]!r}; it must be a whole number")
+            raise ValueError(f"the {key} of a box is {repr_of(box[key])}; it must be a whole number")
+    if not 0 <= box["label"] <= UNKNOWN:
+        raise ValueError(f"the label of a box is {repr_of(box['label'])}; it must be 0 to {UNKNOWN}")
     lengths = {"center_m": 3, "size_m": 3, "velocity_mps": 2}
     center_m, size_m, velocity_mps = (numbers(f"the {key} of a box", box[key], n, n) for key, n in lengths.items())
+    if min(size_m) < 0:
+        raise ValueError(f"the size_m of a box is {size_m}; no length is below 0")
     yaw_rad = finite("the yaw_rad of a box", box["yaw_rad"])
     return Box(box["id"], box["label"], center_m, size_m, yaw_rad, velocity_mps)  # type: ignore[arg-type]
 

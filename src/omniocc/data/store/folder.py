@@ -12,9 +12,10 @@ from jaxtyping import Float64, Int32, Int64, UInt32
 
 from omniocc.camera import Equirectangular
 from omniocc.camera.protocol import pair
+from omniocc.data.formats.poses import check_position
 from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
-from omniocc.errors import DataError, repr_of
+from omniocc.errors import FAULTS, DataError, reason_of, repr_of
 from omniocc.io import checked_name, parse_json, twice
 
 LEAST_FRAME_BYTES = 50
@@ -47,7 +48,7 @@ def read_index(plain: Mapping[str, Any]) -> Index:
     """Return the index that `index.json` holds.
 
     Raises:
-        KeyError, TypeError, ValueError, OverflowError: if something is missing or impossible.
+        Exception: one of `FAULTS`, if something is missing or impossible.
     """
     frames, members = plain["frames"], tuple(checked_name("the name of a member", name) for name in plain["members"])
     if (name := twice(members)) is not None:
@@ -87,6 +88,8 @@ def check_meta(meta: Mapping[str, Any]) -> None:
     if not isinstance(frames, int) or isinstance(frames, bool) or not 0 <= frames <= listed // LEAST_FRAME_BYTES:
         most = f"its {INDEX} of {listed:,} bytes can list at most {listed // LEAST_FRAME_BYTES:,}"
         raise ValueError(f"'frames' is {repr_of(frames)}, but {most}")
+    if not frames:
+        raise ValueError("'frames' is 0; a scene has at least one")
     spec = meta["facts"].get("spec", {})
     if not isinstance(spec, dict) or not isinstance(spec.get("classes", {}), dict):
         raise ValueError(f"'spec' holds no table of classes: {repr_of(spec)}")
@@ -100,7 +103,7 @@ def check_index(index: Index, meta: Mapping[str, Any]) -> None:
 
     Raises:
         ValueError: if it lists another number of frames, members outside of their shards, times or poses that are no
-            finite numbers, or those of some frames alone.
+            finite numbers, or those of some frames alone, times that run backwards, or a pose beyond the Earth.
     """
     if len(index.shard) != meta["frames"]:
         raise ValueError(f"{len(index.shard)} frames instead of {meta['frames']}")
@@ -116,6 +119,9 @@ def check_index(index: Index, meta: Mapping[str, Any]) -> None:
     wrong = np.flatnonzero(~(np.isfinite(times) & np.isfinite(poses).all(axis=(1, 2))))
     if len(wrong):
         raise ValueError(f"time or pose of frame {wrong[0]} holds a value that is not finite")
+    if len(wrong := np.flatnonzero(np.diff(times) < 0)):
+        raise ValueError(f"the time runs backwards from frame {wrong[0]} to {wrong[0] + 1}")
+    check_position(poses[:, :3, 3], "a pose")
 
 
 class SceneFolder:
@@ -152,8 +158,8 @@ class SceneFolder:
             raise self.damaged(META, f"schema {meta.get('schema')}, this version reads {SCHEMA}")
         try:
             check_meta(meta)
-        except ValueError as error:
-            raise self.damaged(META, str(error)) from error
+        except FAULTS as error:
+            raise self.damaged(META, reason_of(error)) from error
         return meta
 
     @cached_property
@@ -163,7 +169,7 @@ class SceneFolder:
         try:
             index = read_index(plain)
             check_index(index, self.meta)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except FAULTS as error:
             raise self.damaged(INDEX, f"it is no index of this scene ({error!r})") from error
         return index
 

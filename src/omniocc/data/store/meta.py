@@ -5,6 +5,7 @@ from importlib.metadata import version
 from typing import Any
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.pose import check_road
 from omniocc.camera.protocol import finite, numbers, positive
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
@@ -59,12 +60,12 @@ def read_spec(plain: dict[str, Any]) -> SourceSpec:
     """Return the spec of recorded scenes, the inverse of `plain_spec`.
 
     Raises:
-        KeyError, TypeError, ValueError: if something is missing or makes no sense.
+        Exception: one of `omniocc.errors.FAULTS`, if something is missing or makes no sense.
     """
-    numbers("range_edges_m", plain["range_edges_m"], 2, MAX_EDGES)
+    if (edges_m := numbers("range_edges_m", plain["range_edges_m"], 2, MAX_EDGES))[0] < 0:
+        raise ValueError(f"range_edges_m begin at {edges_m[0]:g} m; ranges are 0 or more")
     positive("frame_interval_s", plain["frame_interval_s"])
-    if plain["road_z_m"] is not None:
-        finite("road_z_m", plain["road_z_m"])
+    check_road(None if plain["road_z_m"] is None else finite("road_z_m", plain["road_z_m"]))
     return SourceSpec(
         classes=ClassTable.from_dict(plain["classes"]),
         range_edges_m=tuple(plain["range_edges_m"]),

@@ -27,8 +27,8 @@ from omniocc.data.store.codec import (
     decode_range,
 )
 from omniocc.data.store.files import LIMIT_BYTES, named
-from omniocc.data.store.folder import SceneFolder
-from omniocc.data.store.shard import digest, shard_name
+from omniocc.data.store.folder import Index, SceneFolder
+from omniocc.data.store.shard import INDEX, digest, shard_name
 from omniocc.errors import DataError
 from omniocc.frame import Box
 from rayiou.directions import sparseocc_directions
@@ -82,12 +82,19 @@ class SceneReader(SceneFolder):
     @property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame, (F, 4, 4) float64."""
-        return self.index.world_from_ego
+        return self._timed.world_from_ego
 
     @property
     def time_s(self) -> np.ndarray:
         """Return the time of every frame since the scene began, (F,) float64."""
-        return self.index.time_s
+        return self._timed.time_s
+
+    @property
+    def _timed(self) -> Index:
+        """Return the index; raise DataError if it has no times, as that of derived data."""
+        if not len(self.index.time_s):
+            raise self.damaged(INDEX, "it has no times and poses")
+        return self.index
 
     @cached_property
     def rig(self) -> Rig:
@@ -118,6 +125,10 @@ class SceneReader(SceneFolder):
                     _RIGS[key] = Rig.load(Path(folder) / "rig.yaml")
                 except ValueError as error:
                     raise DataError(str(error).replace(folder, str(self.folder))) from error
+        images = {name for name in self.index.members if name.startswith("rgb")}
+        if images and images != {f"rgb{k}.jpg" for k in range(len(_RIGS[key].cameras))}:
+            cameras = f"{len(_RIGS[key].cameras)} cameras"
+            raise self.damaged("rig.yaml", f"it has {cameras}, the frames have {', '.join(sorted(images))}")
         return _RIGS[key]
 
     @property
@@ -176,6 +187,7 @@ class SceneReader(SceneFolder):
             raise self._wrong(frame, f"it has {len(labels):,} hits, its rays are {len(directions):,}", LIDAR)
         with self._decoding(frame, FACTS):
             boxes = decode_boxes(blobs[FACTS])
+        self._known(np.array([box.label for box in boxes], np.uint8), frame, "boxes")
         self._known(labels, frame, "LiDAR hits")
         known = FROM_LOG not in self.meta["facts"]
         moving = hits_of_moving(range_m, labels, directions, boxes) if known else None

@@ -22,7 +22,7 @@ from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, Ignore, SourceSpec, Split, refuse_unseen
 from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write, parse_json
 
@@ -151,7 +151,7 @@ class CarlaSCScene(DatasetScene):
         try:
             params: dict[str, Any] = parse_json(read_text(path))
             shape = tuple(int(value) for value in params["grid_size"])
-        except (KeyError, TypeError, ValueError) as error:
+        except FAULTS as error:
             raise DataError(f"{path}: the file is damaged ({error!r})") from error
         if shape != SHAPE:
             raise DataError(f"{path}: grid_size is {shape} instead of {SHAPE}")

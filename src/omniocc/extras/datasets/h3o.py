@@ -21,7 +21,7 @@ from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import check_root, load_npy, map_classes, read_image, read_npy, read_text, scaled_size
 from omniocc.data.source import SPLITS, Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, mirrored, standing
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.geometry import Cuboid
 from omniocc.io import parse_json, twice
 
@@ -152,7 +152,7 @@ class H3O(OwnGridSource["H3OScene"]):
         try:
             content = parse_json(read_text(self.file, "give H3O's own folder in data.source.root"))
             listed = {str(name): [str(folder) for folder in folders] for name, folders in content.items()}
-        except (AttributeError, TypeError, ValueError) as error:
+        except FAULTS as error:
             raise DataError(f"{self.file}: it must hold lists of folders by split ({error})") from error
         missing = sorted(set(self.splits.values()) - set(listed))
         if missing:
@@ -244,7 +244,7 @@ def read_range(path: Path) -> Float32[np.ndarray, "h w"]:
         DataError: if the file is missing, damaged or no image of depth.
     """
     depth_m = load_npy(path)
-    if depth_m.ndim != 2 or depth_m.dtype.kind != "f":
+    if depth_m.ndim != 2 or not depth_m.size or depth_m.dtype.kind != "f":
         raise DataError(f"{path}: an array of {depth_m.dtype} and shape {depth_m.shape} is no image of depth in metres")
     return range_of_cube_depth(depth_m.astype(np.float32))
 

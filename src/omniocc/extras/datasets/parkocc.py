@@ -32,7 +32,7 @@ from omniocc.data.formats.files import (
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.data.source import Benchmark, Ignore, SourceSpec, Split
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.extras.datasets.ocam import read_ocam
 from omniocc.geometry import Cuboid
 from omniocc.io import number_of, parse_yaml, twice
@@ -166,7 +166,7 @@ class ParkOccScene(OwnGridScene):
             if (number := twice(int(key) for key in content)) is not None:
                 raise ValueError(f"frame {number} stands twice")
             return {int(key): rigid(as_pose(entry["matrix"]), f"frame {key}") for key, entry in content.items()}
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except FAULTS as error:
             reason = f"a frame has no '{error.args[0]}'" if isinstance(error, KeyError) else str(error)
             raise DataError(f"{path}: {reason}; poses are frames by number, each with a 4x4 'matrix'") from error
 

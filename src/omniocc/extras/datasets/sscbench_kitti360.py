@@ -34,7 +34,7 @@ from omniocc.data.formats.poses import inverse, rigid
 from omniocc.data.source import Ignore, Split
 from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.io import atomic_write
 
 FRONT = "image_00"
@@ -198,7 +198,7 @@ class SSCBenchSequence(CompletionScene):
         """Return the number in KITTI-360 of the frames that were found; none where the file is missing or damaged."""
         try:
             return {int(ours): int(theirs) for ours, theirs in json.loads(self.found.read_text("utf-8")).items()}
-        except (OSError, ValueError, AttributeError):
+        except (OSError, *FAULTS):
             return {}
 
     def images(self, frame: int) -> list[np.ndarray]:

@@ -27,7 +27,7 @@ from omniocc.data.formats.poses import quaternion_pose, shift
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
+from omniocc.errors import FAULTS, DataError
 from omniocc.geometry import Grid
 from omniocc.io import number_of, parse_json
 
@@ -181,6 +181,6 @@ def read_calibration(path: Path) -> tuple[RadialPolynomial, np.ndarray]:
         camera = RadialPolynomial(width, height, radii, center, number_of(str(lens["aspect_ratio"])), LENS_DEG)
         x, y, z, w = place["quaternion"]
         return camera, quaternion_pose((w, x, y, z), place["translation"], "extrinsic")
-    except (KeyError, TypeError, ValueError) as error:
+    except FAULTS as error:
         reason = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{path}: {reason}") from error

@@ -149,11 +149,16 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
             "itemsize": message.point_step,
         }
     )
-    content = np.frombuffer(message.data, np.uint8)
-    if message.row_step < message.width * message.point_step or len(content) < message.height * message.row_step:
+    content, row_bytes = np.frombuffer(message.data, np.uint8), message.width * message.point_step
+    if message.row_step < row_bytes:
+        raise DataError(
+            f"{where}: its row_step is {message.row_step}, but a row of {message.width:,} points of "
+            f"{message.point_step} bytes has {row_bytes:,}; its sender must set row_step to that"
+        )
+    if len(content) < message.height * message.row_step:
         raise DataError(f"{where}: {len(content)} bytes are too few for {message.height}x{message.width} points")
     rows = content[: message.height * message.row_step].reshape(message.height, message.row_step)
-    table = np.ascontiguousarray(rows[:, : message.width * message.point_step]).reshape(-1).view(dtype)
+    table = np.ascontiguousarray(rows[:, :row_bytes]).reshape(-1).view(dtype)
     points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float32)
     kept = came_back(points)
     ids = [whole_numbers(table[name][kept], f"{where}: its field '{name}'") for name in labels]

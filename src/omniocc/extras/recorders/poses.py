@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from omniocc.camera.protocol import numbers
 from omniocc.data.formats.pose_table import W_FIRST, W_LAST, TimeUnit, read_table
-from omniocc.data.formats.poses import quaternion_pose, rigid
+from omniocc.data.formats.poses import is_euroc, quaternion_pose, rigid
 from omniocc.errors import DataError
 from omniocc.io import number_of
 
@@ -43,7 +43,8 @@ def seconds(text: str, unit: TimeUnit) -> float:
 def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path | None = None) -> TimedPoses:
     """Return the poses of a file.
 
-    * `csv`: time, x, y, z (m) and quaternion w, x, y, z; or time and the 12 or 16 numbers of a matrix, row by row.
+    * `csv`: time, x, y, z (m) and quaternion w, x, y, z, with EuRoC's nine further numbers or without; or time and the
+      12 or 16 numbers of a matrix, row by row.
     * `tum`: time, x, y, z and quaternion x, y, z, w.
     * `kitti`: the 12 numbers of a matrix; the times are the lines of the file `times`.
 
@@ -57,14 +58,11 @@ def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path 
     rows = read_table(path, () if kind == "kitti" else ("time",), W_LAST if kind == "tum" else W_FIRST)
     if not rows:
         raise DataError(f"{path}: the file holds no poses; is poses_format={kind} right?")
-    if times is not None:
-        stamps = read_table(times, ("time",))
-        if len(stamps) != len(rows):
-            raise DataError(f"{times}: {len(stamps)} times for the {len(rows)} poses of {path.name}")
-    else:
-        stamps = rows
-    times_s = np.array([_checked(row.where, lambda row=row: seconds(row.keys[0], row.unit or unit)) for row in stamps])
     poses = [_checked(row.where, lambda row=row: _pose(row.pose, kind)) for row in rows]
+    stamps = rows if times is None else read_table(times, ("time",))
+    if len(stamps) != len(rows):
+        raise DataError(f"{times}: {len(stamps)} times, but {path} holds {len(rows)} poses; each needs one")
+    times_s = np.array([_checked(row.where, lambda row=row: seconds(row.keys[0], row.unit or unit)) for row in stamps])
     order = np.argsort(times_s, kind="stable")
     if (same := np.flatnonzero(np.diff(times_s[order]) == 0)).size:
         raise DataError(f"{stamps[order[same[0] + 1]].where}: a pose of this time is there already; keep one")
@@ -82,6 +80,8 @@ def _pose(words: Sequence[str], kind: PosesFormat) -> Float64[np.ndarray, "4 4"]
     values = [number_of(word) for word in words]
     if len(values) == 7 and kind != "kitti":
         return quaternion_pose(values[3:], values[:3], "the pose")
+    if kind == "csv" and is_euroc(values):
+        return quaternion_pose(values[3:7], values[:3], "the pose")
     if len(values) in (12, 16) and kind != "tum":
         if values[12:] not in ([], [0, 0, 0, 1]):
             raise ValueError(f"the last row of the matrix is {values[12:]}; it must be 0, 0, 0, 1")

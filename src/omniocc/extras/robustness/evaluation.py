@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 import torch
 from omegaconf import OmegaConf
-from torch.utils.data import DataLoader
 
 from omniocc.config import compose_config, plain
 from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
-from omniocc.data.module import worker_options
+from omniocc.data.loader import Loader
 from omniocc.data.source import MadeScenes, SceneFrames
 from omniocc.errors import UserError, installing
 from omniocc.evaluate import Evaluation, load_with_overrides, results_folder, score_each, system_name
@@ -224,7 +223,7 @@ class RobustnessTest:
         labels = source.labels(data.geometry, data.ignore)
         needs = Needs(pixel_labels=False)
         windows = WindowDataset(scenes, labels, data.window, needs, spec.lidar_directions is None)
-        loader = DataLoader(windows, 1, collate_fn=collate, **worker_options(data.num_workers))
+        loader = Loader(windows, 1, data.num_workers, collate)
         by_scene = {scene.name: Scores(self.task.model.geometry, spec).to(self.device) for scene in recorded}
         for batch, labels in predictions(self.task, loader, self.device):
             by_scene[batch.frame_ids[0].rsplit("/", 1)[0]].update(labels, batch)

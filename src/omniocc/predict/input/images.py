@@ -14,9 +14,11 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
+from omniocc.camera.seams import better_order
 from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera, scaled_to
 from omniocc.errors import DataError, UserError
 from omniocc.images import Depth, content_of
+from omniocc.io import twice
 
 
 class FrameFiles(NamedTuple):
@@ -40,7 +42,8 @@ def find_frames(
 
     Args:
         images: a folder with one image per camera, named as the camera; or a folder of such folders, one per frame;
-            or a list of one file per camera, in the rig's order. Files named as the cameras may have any order.
+            or a folder with one folder per camera, whose images are named as the frames; or one file per camera, in the
+            rig's order, or in any where all are named as the cameras.
         rig: the cameras.
         excluded: names of the cameras to leave out; their files may be missing.
         image_bits: number of bits that samples of 16-bit images use; None: not known.
@@ -58,14 +61,32 @@ def _match_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]
         return [_match_list([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
     if not folder.is_dir():
-        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]"
-        raise UserError(f"images={images}: there is no such folder{hint if folder.exists() else ''}")
+        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
+        raise UserError(f"images={images}: there is no such folder{hint}")
     frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_key)
-    # images that belong to no camera do not make the folder a frame: they may be masks of the rig
-    is_frame = any(path.stem in rig.names for path in _image_files(folder))
-    if is_frame or not frames:
+    of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
+    if of_cameras or not frames:
         return [FrameFiles("", _match_folder(folder, rig, excluded))]
+    if {path.name for path in frames} >= set(rig.names) - set(excluded):
+        return _by_camera(folder, rig, excluded)
     return [FrameFiles(frame.name, _match_folder(frame, rig, excluded)) for frame in frames]
+
+
+def _by_camera(folder: Path, rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
+    """Return the frames of a folder with a folder of images for each camera, as OmniMVS has them."""
+    found = {name: _image_files(folder / name) for name in rig.names if name not in excluded}
+    by_stem = {name: {path.stem: path for path in paths} for name, paths in found.items()}
+    for name, paths in found.items():
+        stems = [path.stem for path in paths]
+        if stem := twice(stems):
+            raise UserError(f"{folder / name}: several images of frame '{stem}'; keep one")
+        if lacking := sorted({stem for other in by_stem.values() for stem in other} - set(stems)):
+            raise UserError(f"{folder / name}: no image of frame '{lacking[0]}', which other cameras have")
+    frames = sorted(next(iter(found.values())), key=_natural_key)
+    return [
+        FrameFiles(path.stem, tuple(by_stem[name][path.stem] if name in found else None for name in rig.names))
+        for path in frames
+    ]
 
 
 def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
@@ -82,9 +103,9 @@ def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
         raise UserError("every camera is excluded; keep at least one")
 
 
-def _natural_key(folder: Path) -> list[tuple[int, str]]:
-    """Return a sorting key that compares the numbers in names as numbers: 9 before 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", folder.name)]
+def _natural_key(path: Path) -> list[tuple[int, str]]:
+    """Return the sorting key that orders names by the numbers in them: 9 before 10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def _match_list(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> FrameFiles:
@@ -132,13 +153,35 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
-    """Yield lines on files named unlike their cameras, on unused images and on lens models that do not fit."""
+    """Yield lines about what may be wrong, beside the names of listed images.
+
+    These are images that are not used, lens models that do not fit, and images of the first frame that fit better in
+    another order.
+
+    Raises:
+        UserError: naming an image of the first frame that cannot be read.
+    """
     files = dict(zip(rig.names, frames[0].files, strict=True))
-    if not {file.stem for file in files.values() if file is not None} <= set(rig.names):
+    listed = frames[0].name == ""
+    if listed and not {file.stem for file in files.values() if file is not None} <= set(rig.names):
         yield "images    " + ", ".join(f"{name}={file.name}" for name, file in files.items() if file is not None)
     if line := describe_ignored_images(frames, rig):
         yield line
     yield from lenses_that_do_not_fit(rig)
+    if line := swapped_images(frames[0], rig):
+        yield line
+
+
+def swapped_images(frame: FrameFiles, rig: Rig) -> str:
+    """Return a line with the order in which the images of a frame fit better, or nothing; see `better_order`."""
+    if None in frame.files or (order := better_order(read_frame(frame, rig), rig)) is None:
+        return ""
+    moved = [
+        f"{name}={frame.files[image]}"
+        for k, (name, image) in enumerate(zip(rig.names, order, strict=True))
+        if k != image
+    ]
+    return f"images    where two cameras see the same, the images fit better as {', '.join(moved)}; are they swapped?"
 
 
 def describe_ignored_images(frames: Sequence[FrameFiles], rig: Rig) -> str:

@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from omniocc.data.formats.pose_table import W_FIRST, read_table
-from omniocc.data.formats.poses import TOLERANCE, check_position, quaternion_pose
+from omniocc.data.formats.poses import TOLERANCE, check_position, is_euroc, quaternion_pose
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, number_of
 from omniocc.predict.input.images import suggest_name
@@ -66,8 +66,8 @@ def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tenso
 
 def _pose(words: Sequence[str]) -> Float64[Tensor, "4 4"]:
     values = [number_of(word) for word in words]
-    if len(values) == len(QUATERNION):
-        return torch.from_numpy(quaternion_pose(values[3:], values[:3], "the pose"))
+    if len(values) == len(QUATERNION) or is_euroc(values):
+        return torch.from_numpy(quaternion_pose(values[3:7], values[:3], "the pose"))
     if len(values) == len(MATRIX):
         return _from_rows(values)
     raise ValueError(

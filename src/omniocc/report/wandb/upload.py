@@ -10,9 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from omniocc.errors import UserError
+from omniocc.lock import Held, acquire
 from omniocc.runs.script import lines_not_tracebacks
 from omniocc.runs.wandb.loggers import check_login
 
@@ -65,10 +64,10 @@ def in_use(folder: Path) -> bool:
     if not (folder / ".lock").exists():
         return False
     try:
-        with FileLock(folder / ".lock", timeout=0):
-            return False
-    except Timeout:
+        acquire(folder / ".lock").release()
+    except Held:
         return True
+    return False
 
 
 def log_report(report: Path, project: str) -> bool:

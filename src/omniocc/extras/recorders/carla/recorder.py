@@ -5,13 +5,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from filelock import AcquireReturnProxy, FileLock, Timeout
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
@@ -28,6 +27,7 @@ from omniocc.extras.recorders.carla.frames import RawFrame, make_frame, vehicle_
 from omniocc.extras.recorders.carla.process import CarlaError, Message, captured
 from omniocc.extras.recorders.carla.sensors import Cube, Spec, camera_cubes, cube_sensors, lidar_sensors, origin_cube
 from omniocc.io import checked_name
+from omniocc.lock import Held, acquire
 from omniocc.progress import Progress
 from omniworld.render.own_car import grown, masking, road_of, show_ego_car
 
@@ -254,11 +254,16 @@ class CarlaRecorder:
             frames = [self.raw_frame(message) for message in messages if message.kind == "frame"]
         return check_frames(frames, job["sensors"], self.origin, self.interval_s, classes)
 
-    def _alone(self, root: Path) -> AcquireReturnProxy:
+    @contextmanager
+    def _alone(self, root: Path) -> Iterator[None]:
         try:
-            return FileLock(root / ".recording.lock").acquire(blocking=False)
-        except Timeout as error:
-            raise UserError(f"{root}: another process is recording into this folder") from error
+            lock = acquire(root / ".recording.lock")
+        except Held as held:
+            raise UserError(f"{root}: another process is recording into this folder{held.remedy}") from held
+        try:
+            yield
+        finally:
+            lock.release()
 
     def _record_scene(self, folder: Path, plan: Plan, progress: Progress) -> None:
         for attempt in range(self.attempts):
