@@ -1,5 +1,7 @@
-"""Hashes of code: what counts and what does not."""
+"""Hashes of code: what counts and what does not; arguments that docstrings list."""
 
+import ast
+import re
 import sys
 from pathlib import Path
 
@@ -91,3 +93,28 @@ def test_a_hash_does_not_depend_on_the_order_of_classes():
     names = ["omniocc.geometry.Cuboid", "omniocc.batch.Batch"]
     assert code_of_classes(names) == code_of_classes(names[::-1]) != code_of_classes(names[:1])
     assert Path(sys.modules["omniocc.geometry"].__file__).exists()
+
+
+def arguments(definition: ast.FunctionDef | ast.ClassDef) -> set[str]:
+    """Return the names of a function's arguments, of a class's `__init__`, or of its fields."""
+    if isinstance(definition, ast.ClassDef):
+        methods = [part for part in definition.body if isinstance(part, ast.FunctionDef) and part.name == "__init__"]
+        if not methods:
+            return {part.target.id for part in definition.body if isinstance(part, ast.AnnAssign)}
+        definition = methods[0]
+    given = definition.args
+    return {part.arg for part in [*given.args, *given.kwonlyargs, given.vararg, given.kwarg] if part is not None}
+
+
+def test_the_arguments_that_a_docstring_lists_exist():
+    listed, wrong = 0, []
+    for path in (Path(__file__).parents[1] / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            text = isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node)
+            if not text or "Args:\n" not in text:
+                continue
+            names = re.findall(r"^    (\w+): ", re.split(r"\n\S|\n\n", text.split("Args:\n")[1])[0], re.MULTILINE)
+            listed += len(names)
+            wrong += [(path.name, node.name, name) for name in names if name not in arguments(node)]
+    assert listed > 500
+    assert wrong == []

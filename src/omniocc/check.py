@@ -1,4 +1,4 @@
-"""Read a dataset back and list all that is wrong with it: what `src/check.py` does with its words."""
+"""Read a dataset back and list all that is wrong with it: the work of `src/check.py`."""
 
 from pathlib import Path
 

@@ -74,7 +74,7 @@ def test_a_sequence_gives_the_labels_of_the_model(make_model, rig, draw_images, 
         exists = torch.cat([exists[1:], torch.tensor([True])])
 
 
-@pytest.mark.slow
+@pytest.mark.whole_runs
 @pytest.mark.parametrize("name", RIVALS)
 def test_rivals_run_as_programs(name, make_model, rig, draw_images, tmp_path):
     module = make_module(make_model(f"model={name}"), rig)

@@ -24,6 +24,7 @@ def written(tmp_path_factory) -> dict[str, bytes]:
     return {str(path.relative_to(docs)): path.read_bytes() for path in files}
 
 
+@pytest.mark.whole_runs
 def test_every_generated_file_is_written_again_bit_for_bit(written):
     """`python src/report.py --runs docs/results/runs.tar.xz --docs docs/results` changes nothing."""
     assert len(PAGES) == 8
@@ -31,6 +32,7 @@ def test_every_generated_file_is_written_again_bit_for_bit(written):
     assert [name for name, page in GENERATED.items() if written[name] != page] == []
 
 
+@pytest.mark.whole_runs
 def test_every_kept_run_is_in_the_list_of_runs(written):
     lines = csv.DictReader(written["csv/runs.csv"].decode().splitlines())
     kept = [name.split("/") for name in read_archive(RECORDS)]
@@ -41,6 +43,7 @@ def test_the_records_are_small():
     assert RECORDS.stat().st_size <= 3_000_000
 
 
+@pytest.mark.whole_runs
 def test_no_column_has_an_empty_head_and_text_stands_to_the_left(written):
     """In the tables of pages a column to the right has no letters but those of a unit or of two numbers."""
     tables = 0

@@ -211,8 +211,6 @@ READS = """
 import os, signal, time
 from pathlib import Path
 import torch
-from lightning.pytorch import Trainer
-from lightning.pytorch.demos.boring_classes import BoringModel
 from torch.utils.data import Dataset, default_collate
 from omniocc.data.loader import Loader
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
@@ -230,8 +228,13 @@ class Slow(Dataset):
 
 @lines_not_tracebacks
 def main():
-    quiet_libraries()
     loader = Loader(Slow(), 1, 2, default_collate)
+    if not IN_LIGHTNING:
+        return list(loader)
+    from lightning.pytorch import Trainer
+    from lightning.pytorch.demos.boring_classes import BoringModel
+
+    quiet_libraries()
     quiet = {"logger": False, "enable_progress_bar": False, "enable_model_summary": False, "accelerator": "cpu"}
     Trainer(enable_checkpointing=False, **quiet).test(BoringModel(), loader, verbose=False)
 
@@ -240,9 +243,9 @@ if __name__ == "__main__":
 """
 
 
-def reader(folder: Path, dies: bool) -> subprocess.Popen[str]:
-    """Start a script that tests a model in a folder, reading by two processes, as the leader of a process group."""
-    (folder / "reads.py").write_text(f"DIES = {dies}\n{READS}")
+def reader(folder: Path, dies: bool = False, in_lightning: bool = False) -> subprocess.Popen[str]:
+    """Start a script in a folder that reads by two processes, as the leader of a process group."""
+    (folder / "reads.py").write_text(f"DIES, IN_LIGHTNING = {dies}, {in_lightning}\n{READS}")
     return subprocess.Popen(
         [sys.executable, "reads.py"],
         cwd=folder,
@@ -264,9 +267,9 @@ def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     assert len(errors.splitlines()) == 1
 
 
-def started_reader(folder: Path) -> subprocess.Popen[str]:
+def started_reader(folder: Path, in_lightning: bool) -> subprocess.Popen[str]:
     """Start a reader and return when its processes have read some samples."""
-    process, deadline_s = reader(folder, dies=False), time.monotonic() + 120
+    process, deadline_s = reader(folder, in_lightning=in_lightning), time.monotonic() + 120
     while not (folder / "4.read").exists():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline_s
@@ -276,7 +279,7 @@ def started_reader(folder: Path) -> subprocess.Popen[str]:
 
 @pytest.mark.slow(15)
 def test_processes_that_read_end_with_a_training_that_is_killed(tmp_path):
-    process = started_reader(tmp_path)
+    process = started_reader(tmp_path, in_lightning=False)
     process.kill()
     process.communicate(timeout=60)  # returns when no process has the other ends of the pipes
 
@@ -284,7 +287,7 @@ def test_processes_that_read_end_with_a_training_that_is_killed(tmp_path):
 @pytest.mark.slow(15)
 def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     """A terminal sends it to the whole group, also to the processes that read."""
-    process = started_reader(tmp_path)
+    process = started_reader(tmp_path, in_lightning=True)
     os.killpg(process.pid, signal.SIGINT)
     assert process.communicate(timeout=60) == ("", "stopped by Ctrl-C\n")
     assert process.returncode == 130

@@ -64,9 +64,9 @@ def check_rigid(pose: Float64[Tensor, "4 4"], name: str) -> None:
 
 
 def check_road(road_z_m: float | None) -> None:
-    """Raise ValueError if the height of a road in the frame of a rig, m, is none; None: it is not known."""
+    """Raise ValueError unless the road's height in the frame of a rig is between -100 m and 0, or None: not known."""
     if road_z_m is not None and not -100 < road_z_m < 0:
-        raise ValueError(f"road_z_m is {road_z_m}; it must be below 0, in metres: the road is below the rig")
+        raise ValueError(f"road_z_m is {road_z_m}; it must be between -100 and 0, in metres: the road is below the rig")
 
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:

@@ -120,7 +120,7 @@ class OccupancyData(LightningDataModule):
         batch_size: samples per process and step.
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
-        unknown: label of cells without points: `free` (the paper) or `unobserved` (255 unless a sensor saw through).
+        ignore: cells that are unknown: `none` (the paper) or `unobserved` (255 unless a sensor saw through).
         samples_per_scene: training frames of a scene that follow one another; where every scene has a rig of its own,
             two or more save time.
         range_edges_m: ends of the distance bands of scores; LiDAR hits at the last of them or beyond count as free.

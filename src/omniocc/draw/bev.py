@@ -31,8 +31,8 @@ def bev(labels: Labels, geometry: Grid, classes: ClassTable, size_px: int) -> np
 def error_bev(truth: Labels, prediction: Labels, geometry: Grid, size_px: int) -> np.ndarray:
     """Return a square image with the most frequent kind of difference among the occupied cells of each column.
 
-    Kinds and colours are `ERRORS`; of equally frequent kinds the first is drawn. A column with as many missed as
-    hallucinated cells and the right topmost class counts as 'at another height'. Cells of unknown truth do not count.
+    Kinds and colours are `ERRORS`; of equally frequent kinds the first is drawn. Missed cells of a column with as many
+    hallucinated ones and the right topmost class are 'at another height'. Cells of unknown truth do not count.
     """
     true, predicted = truth.numpy(), prediction.numpy()
     known = true != UNKNOWN

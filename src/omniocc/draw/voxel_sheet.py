@@ -1,4 +1,4 @@
-"""One sheet per frame of predicted occupancy, beside the ground truth where it is available."""
+"""One sheet per frame: of predicted occupancy, beside the truth where there is one, or of the data alone."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

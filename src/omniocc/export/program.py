@@ -72,7 +72,7 @@ class Step(Program):
 
 
 def make_module(model: OccupancyModel, rig: Rig) -> FrameProgram | Step:
-    """Return the model as a function of one frame's images."""
+    """Return the program of a model, with or without history; freeze the model in evaluation mode."""
     return (FrameProgram if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
 
 

@@ -24,7 +24,7 @@ class TrainingData:
         rig_name: name or file of the rig, `random`, or a phrase where scenes are recorded.
         road_z_m: height of the road in its ego frame, m; None: another one in every scene, as with drawn rigs.
         classes: table of the model's classes.
-        unknown: label of true cells without points.
+        ignore: which true cells are unknown.
         frame_interval_s: time between frames, and so the age of the newest past one, s.
     """
 

@@ -19,7 +19,7 @@ def is_first() -> bool:
 
 
 def started_by_others() -> bool:
-    """Return whether torchrun or Slurm has started several processes of this run, so that none has a parent here."""
+    """Return whether several processes of this run were started by torchrun or Slurm, none of them by another."""
     given = os.environ
     if "RANK" in given:
         return given.get("WORLD_SIZE", "1") != "1"

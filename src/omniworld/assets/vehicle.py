@@ -44,7 +44,7 @@ def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
 
 
 def _axle(x_m: Number, y_m: Number, z_m: Number, side: int) -> np.ndarray:
-    """Return the (4, 4) pose of a wheel that was turned around z: its top shows to the left (side 1) or right (-1)."""
+    """Return the (4, 4) pose of a wheel that `lathe` made: its upper end faces left (side 1) or right (-1)."""
     return np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, z_m], [0, 0, 0, 1]])
 
 

@@ -85,6 +85,12 @@ def test_what_is_wrong_is_one_line(tmp_path, file, content, message):
         read_all(root)
 
 
+def test_a_missing_grid_is_named(tmp_path):
+    message = r"root=\S+: Cylindrical/Train, .*, it holds Cartesian; give the folder that holds CarlaSC's Cylindrical"
+    with pytest.raises(DataError, match=message):
+        source_of(write_carlasc(tmp_path), "cylindrical")
+
+
 def read_all(root):
     scene = source_of(root).scenes("train")[0]
     return scene.own_voxels(0, "none"), scene.cloud(0), scene.world_from_ego

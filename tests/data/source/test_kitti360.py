@@ -127,8 +127,8 @@ def test_the_calibration_gives_the_poses_of_the_devkit(tmp_path):
     [
         ("calibration/calib_cam_to_pose.txt", "image_00: 1 2 3\n", r"the line 'image_00' of 12 numbers is missing"),
         ("calibration/calib_cam_to_velo.txt", "1 2 3\n", "the line '' of 12 numbers"),
-        ("calibration/perspective.txt", "R_rect_00: a b\n", "line 1: 'R_rect_00' are no numbers"),
-        ("calibration/perspective.txt", "R_rect_00: 1_0 0 0\n", "line 1: 'R_rect_00' are no numbers"),
+        ("calibration/perspective.txt", "R_rect_00: a b\n", "line 1: the values of 'R_rect_00' are no numbers"),
+        ("calibration/perspective.txt", "R_rect_00: 1_0 0 0\n", "line 1: the values of 'R_rect_00' are no numbers"),
         ("data_poses/2013_05_28_drive_0000_sync/poses.txt", "² 1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: '²' is"),
         ("data_poses/2013_05_28_drive_0000_sync/poses.txt", "100 1 0 0\n", r"poses\.txt, line 1: it has 3 numbers"),
         (

@@ -31,7 +31,7 @@ class Calibration(NamedTuple):
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Raise ValueError that begins with the name of a file or camera for what its content causes in the block."""
+    """Turn OSError and `FAULTS` of the block into ValueError that begins with `place`; DataError passes."""
     try:
         yield
     except DataError:
@@ -67,7 +67,7 @@ def whole(entry: dict[str, Any], key: str) -> int:
 
 
 def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
-    """Return `count` finite numbers (None: any count) from a list, its rows or OpenCV's matrix under the first key.
+    """Return `count` finite numbers (None: any) of a list, a list of rows or OpenCV's matrix; see `required` for keys.
 
     Raises:
         ValueError: naming the key that is missing or holds something else.

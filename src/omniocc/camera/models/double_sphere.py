@@ -20,7 +20,7 @@ class DoubleSphere(FocalCamera):
 
     Attributes:
         xi: distance between the centres of the two spheres, in (-1, 1].
-        alpha: position of the pinhole behind the second sphere, in [0, 1].
+        alpha: in [0, 1]; the pinhole is alpha / (1 - alpha) behind the centre of the second sphere.
         max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the model alone sets it.
     """
 

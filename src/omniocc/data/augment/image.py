@@ -23,7 +23,9 @@ def erase(
     generator: torch.Generator,
     sizes: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Cover one box in some images with one colour (Random Erasing, Zhong et al. 2020; the paper's cropping).
+    """Cover one box in some images with one colour (Random Erasing, Zhong et al. 2020).
+
+    The paper that this project implements calls it random cropping.
 
     Args:
         images: (..., 3, H, W) uint8.

@@ -82,7 +82,7 @@ class DatasetScene:
         return found and found.range_m
 
     def lidar(self, frame: int) -> LidarScan | None:
-        """Return the rays of the LiDAR that hit something of a known or unknown class; None without classes."""
+        """Return the ray of the LiDAR to each of its points, also of unknown class; None without classes."""
         cloud = self.cloud(frame)
         if cloud is None or cloud.labels is None:
             return None

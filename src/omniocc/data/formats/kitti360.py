@@ -32,7 +32,10 @@ LENS_DEG = 97.5
 """Angle off the optical axis at which the image of the fisheyes ends."""
 CAR_ROWS = (890 / 1400, 980 / 1400, 1050 / 1400, 1120 / 1400, 1190 / 1400, 1200 / 1400)
 CAR_FREE = (0.5, 0.37, 0.28, 0.22, 0.04, 0.0)
-"""Half the part of the width of a fisheye's image that does not show the own car, at these parts of its height."""
+"""Largest distance from the middle column of a fisheye's image at which it does not show the own car.
+
+As a fraction of the width, at the heights of `CAR_ROWS`, fractions of the image's height from its top.
+"""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the IMU's axes (x forward, y right, z down) to ours (x forward, y left, z up)."""
 MOST_SKIPPED = 3000
@@ -58,7 +61,7 @@ def read_rows(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
                 rows[name.strip()] = row
         except ValueError as error:
             if name.strip() not in ("calib_time", ""):
-                raise DataError(f"{path}, line {number}: '{name}' are no numbers") from error
+                raise DataError(f"{path}, line {number}: the values of '{name}' are no numbers") from error
     return rows
 
 

@@ -36,7 +36,7 @@ class LazyLabels(ABC):
         fingerprint: of the data.
         geometry: grid of the model.
         num_classes: number of classes, free included.
-        unknown: label of cells that nothing has observed.
+        ignore: which cells are unknown, such as those that nothing has observed.
     """
 
     COUNTED: ClassVar[int]
@@ -78,7 +78,7 @@ class OwnGridLabels(LazyLabels):
         own: grid of the dataset's labels, ego frame.
         geometry: see `LazyLabels`.
         num_classes: see `LazyLabels`.
-        unknown: see `LazyLabels`.
+        ignore: see `LazyLabels`.
     """
 
     COUNTED = 1000

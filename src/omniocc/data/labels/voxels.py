@@ -79,7 +79,7 @@ class VoxelCache:
     Args:
         folder: of the dataset, in which the cache is the subfolder `voxels-<hash of grid and labelling>`.
         geometry: grid whose cells the points vote in.
-        unknown: label of cells without points.
+        ignore: which cells without points are unknown: `none` or those `unobserved`.
         fingerprint: of the data; the counts of classes are kept under it.
         num_classes: number of classes, free included.
         workers: processes that vote; 0 votes in this one.
@@ -88,7 +88,7 @@ class VoxelCache:
             farther off are unknown. None: nowhere.
 
     Raises:
-        ValueError: if `unknown` is no way of labelling.
+        UserError: if `ignore` is no way of labelling.
     """
 
     def __init__(

@@ -105,8 +105,9 @@ class CarlaSC:
         Raises:
             DataError: naming what is missing or wrong.
         """
-        top = Path(self.root, self.coordinates.capitalize())
-        check_root(str(top), [self.splits[split] for split in SPLITS], "give the folder that holds CarlaSC's Cartesian")
+        top = self.coordinates.capitalize()
+        needed = [f"{top}/{self.splits[split]}" for split in SPLITS]
+        check_root(self.root, needed, f"give the folder that holds CarlaSC's {top}")
         for split in SPLITS:
             for scene in self.scenes(split):
                 scene.check()
@@ -118,7 +119,7 @@ class CarlaSC:
         return [CarlaSCScene(path / self.coordinates, f"{split}-{path.name}", self) for path in found]
 
     def labels(self, geometry: Grid, ignore: Ignore) -> OwnGridLabels:
-        """Return the voxels in a grid; with `unobserved` cells are unknown that no ray has met.
+        """Return the voxels in a grid; if `ignore` is `unobserved`, those that no ray has met are unknown.
 
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
@@ -197,7 +198,7 @@ class CarlaSCScene(DatasetScene):
         """Return None: there are no cameras."""
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
-        """Return the class of every cell; free ones that no ray has met are unknown unless `unknown` is free."""
+        """Return the class of every cell; those that no ray has met are unknown unless `ignore` is `none`."""
         labels, seen = self._voxels(frame)
         return torch.from_numpy(np.where(seen | (ignore == "none"), labels, UNKNOWN).astype(np.uint8))
 
@@ -207,7 +208,7 @@ class CarlaSCScene(DatasetScene):
         return BenchmarkFrame(torch.from_numpy(labels), torch.from_numpy(seen))
 
     def prediction_file(self, frame: int) -> str:
-        """Return the place of a frame's file in a folder of predictions, as the labels lie."""
+        """Return the place of a frame's file in a folder of predictions."""
         return f"{self.name}/{self.numbers[frame]:06d}.label"
 
     def write_prediction(self, path: Path, classes: UInt8[np.ndarray, "X Y Z"]) -> None:

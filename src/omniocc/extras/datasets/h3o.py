@@ -216,7 +216,7 @@ class H3OScene(OwnGridScene):
         return self._range_m(frame, self.panorama)
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
-        """Return the class of every cell. There is no mask, so `unknown` changes nothing."""
+        """Return the class of every cell. There is no mask, so `ignore` changes nothing."""
         del ignore
         with self.naming(frame):
             path = self.folder / self.source.voxels / f"{self.numbers[frame]}.npy"

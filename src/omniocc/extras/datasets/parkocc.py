@@ -194,7 +194,7 @@ class ParkOccScene(OwnGridScene):
         return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "200 200 32"]:
-        """Return the class of every cell. There is no mask, so `unknown` changes nothing."""
+        """Return the class of every cell. There is no mask, so `ignore` changes nothing."""
         del ignore
         name = self.numbers[frame]
         with self.naming(frame):

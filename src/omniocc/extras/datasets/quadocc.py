@@ -186,7 +186,7 @@ class QuadOccScene(OwnGridScene):
         return Cloud(transform_points(self.source.ego_from_lidar, points_m).astype(np.float32), None, np.zeros(3))
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "64 64 8"]:
-        """Return the class of every cell; 255 is what has no label that counts. There is no mask for `unknown`."""
+        """Return the class of every cell, 255 where no label counts. There is no mask, so `ignore` changes nothing."""
         del ignore
         with self.naming(frame):
             path = self.folder / "voxel_final" / f"{self.numbers[frame]}.npy"

@@ -155,7 +155,7 @@ class SSCBenchSequence(CompletionScene):
 
     @cached_property
     def rig(self) -> Rig:
-        """Return the cameras, the same in every frame; the fisheyes with what their lenses and the own car cover."""
+        """Return the cameras, the same in every frame; the fisheyes with masks that leave out the own car."""
         front = Pinhole(*SIZE, (FOCAL_PX, FOCAL_PX), CENTER_PX)
         turn = np.eye(4)
         turn[:3, :3] = R_RECT
@@ -182,10 +182,10 @@ class SSCBenchSequence(CompletionScene):
         """
         if self.kitti360 is None or list(self._found_frames()) == self.numbers:
             return
-        ours = sorted(image_file(self.kitti360, self.name, FRONT, 0).parent.glob("*.png"))
-        theirs = [self._image(number) for number in self.numbers]
-        found = match_frames(theirs, ours, f"frames of KITTI-360, sequence {self.name}")
-        frames = {number: int(ours[index].stem) for number, index in zip(self.numbers, found, strict=True)}
+        kitti360 = sorted(image_file(self.kitti360, self.name, FRONT, 0).parent.glob("*.png"))
+        images = [self._image(number) for number in self.numbers]
+        found = match_frames(images, kitti360, f"frames of KITTI-360, sequence {self.name}")
+        frames = {number: int(kitti360[index].stem) for number, index in zip(self.numbers, found, strict=True)}
         atomic_write(self.found, json.dumps(frames))
 
     @cached_property
@@ -197,7 +197,7 @@ class SSCBenchSequence(CompletionScene):
     def _found_frames(self) -> dict[int, int]:
         """Return the number in KITTI-360 of the frames that were found; none where the file is missing or damaged."""
         try:
-            return {int(ours): int(theirs) for ours, theirs in json.loads(self.found.read_text("utf-8")).items()}
+            return {int(number): int(theirs) for number, theirs in json.loads(self.found.read_text("utf-8")).items()}
         except (OSError, *FAULTS):
             return {}
 
@@ -214,7 +214,7 @@ class SSCBenchSequence(CompletionScene):
             ]
 
     def cloud(self, frame: int) -> Cloud | None:
-        """Return the points of KITTI-360's scan, whose classes are not known; None without KITTI-360."""
+        """Return the points of KITTI-360's scan, whose classes are not known; None without KITTI-360 or its scans."""
         if self.kitti360 is None:
             return None
         with self.naming(frame):
@@ -225,7 +225,7 @@ class SSCBenchSequence(CompletionScene):
         return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, ignore: Ignore) -> UInt8[Tensor, "X Y Z"]:
-        """Return the class of every cell; invalid ones are unknown, as the benchmark has it."""
+        """Return the class of every cell; free ones that are invalid are unknown, as the benchmark has it."""
         number = self.numbers[frame]
         path = self.folder / "voxels" / f"{number:06d}.label"
         with self.naming(frame):

@@ -263,7 +263,7 @@ class Bag:
         raise DataError(f"{where}: the message is missing; the bag is damaged")
 
     def tree(self) -> FrameTree:
-        """Return the coordinate frames that the topics of tf state; those whose name ends in `static` never change."""
+        """Return the coordinate frames that the topics of tf state; of a topic named `...static` they never change."""
         tree = FrameTree()
         topics = {connection.topic for connection in self.reader.connections if connection.msgtype in TRANSFORMS}
         for topic in sorted(topics):

@@ -61,7 +61,7 @@ class LogFiles(LogRecorder):
         poses_format: `csv`, `tum` or `kitti`, see `omniocc.extras.recorders.poses.read_timed_poses`.
         poses_times: file with a time in each line, for `kitti`.
         poses_time_unit: of the poses; None: `time_unit` for `csv`, s for the others.
-        ego_from_pose_frame: pose of what the poses are of, in the ego frame; None: they are of the ego frame.
+        ego_from_pose_frame: pose, in the ego frame, of the frame whose poses the file holds; None: the ego frame.
         lidar: None, or a mapping with the keys of `LIDAR_KEYS`.
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
         image_size: see `SceneOptions`, as `panorama`, `road_z_m` and `moving`.

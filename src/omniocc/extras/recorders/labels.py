@@ -30,10 +30,10 @@ class PointClasses(NamedTuple):
 
 
 def read_point_classes(path: Path | None) -> PointClasses:
-    """Return the classes that a YAML of `id: name` or `id: {name, rgb}` lists; two of them without a file.
+    """Return the classes that a YAML of `id: name` or `id: {name, rgb}` lists; without a file, free and occupied.
 
-    Several ids may have one name; `unknown` counts for nothing. Names of the virtual world alone give its table, so
-    that its networks can be used; all others get ids in the order of the file.
+    Several ids may have one name; points of `unknown` get the class 255. Names of the virtual world alone give its
+    table, so that its networks can be used; all others get ids in the order of the file.
 
     Raises:
         DataError: naming the file and the entry that is wrong.

@@ -1,6 +1,6 @@
 """Messages of ROS as arrays, cameras and poses, and the tree of coordinate frames that those of tf make.
 
-Their fields have equal names in ROS 1 and 2 but for CameraInfo.
+As the package rosbags reads them, their fields have equal names in ROS 1 and 2 but for CameraInfo.
 """
 
 import re
@@ -39,7 +39,7 @@ TO_RGB = {
 }
 """Conversions of the encodings of sensor_msgs that are read; rgb8 needs none."""
 WORDS = re.compile(r"(mono|rgb|bgr|rgba|bgra|bayer_(?:rggb|bggr|gbrg|grbg))(10|12|14|16)")
-"""Encodings of samples in words of 16 bits: the same channels, and how many of the bits are used; 16 may be fewer."""
+"""Encodings of samples in words of 16 bits: the channels, and how many of the bits are used; of 16 fewer may be."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numpy's names of the data types of sensor_msgs/PointField."""
 LONGEST_POINT = 1 << 20
@@ -166,7 +166,7 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
 
 
 def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:
-    """Return the pose of a position (or translation) and a quaternion of geometry_msgs; raise DataError if none."""
+    """Return the pose of a position (or translation) and a quaternion of geometry_msgs; DataError if they make none."""
     quaternion: Sequence[float] = (rotation.w, rotation.x, rotation.y, rotation.z)
     try:
         return quaternion_pose(quaternion, (position.x, position.y, position.z), "the pose")

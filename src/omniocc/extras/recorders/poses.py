@@ -18,7 +18,7 @@ PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9
 
 
 EXACT = 1e-9
-"""Largest error of a rotation that is kept as it is given, since it is as exact as float64 allows."""
+"""Largest error of a rotation that is kept as it is given; others are mended."""
 
 
 class TimedPoses(NamedTuple):

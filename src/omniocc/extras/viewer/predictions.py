@@ -127,7 +127,7 @@ def _recorded(
     ignore: Ignore,
     scores: Callable[[Grid, SceneReader], Scores],
 ) -> ShownFrame:
-    """Return a predicted frame of a recorded scene, scored where there is truth; `unknown` as in its training."""
+    """Return a predicted frame of a recorded scene, scored where there is truth; `ignore` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry
     labels = partial(votes_of, scene, ignore=ignore)
     scenes = ChosenScenes(spec, [(scene, [frame])], labels, None, scene.name, "")

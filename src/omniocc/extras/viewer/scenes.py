@@ -110,7 +110,7 @@ def recorded_scenes(
 ) -> ChosenScenes:
     """Return the chosen frames of recorded scenes; voxels are voted when they are needed, and nothing is written.
 
-    Arguments as in `choose`; `unknown` is the label of cells without points, `panorama` as in `ChosenScenes`.
+    Arguments as in `choose`; `ignore` names the cells that are unknown, `panorama` as in `ChosenScenes`.
 
     Raises:
         UserError: naming what does not exist, or scenes that do not have the same classes.

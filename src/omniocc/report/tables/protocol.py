@@ -16,7 +16,7 @@ def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]
 def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> list[str]:
     """Return a line for each kind of score among the keys of a table, and for each way in which it was counted.
 
-    A line names its rows, or those that it does not hold for, where they differ in it. Runs of before this was
+    Where rows differ, a line names those that it holds for, or those that it does not. Runs of before this was
     recorded have none. A text that says more at its end than another holds for both: newer runs record more.
     """
     kinds = dict.fromkeys(kind for key in keys if (kind := score_of(key)) is not None)

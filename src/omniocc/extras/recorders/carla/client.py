@@ -122,7 +122,7 @@ def release(version):
 
 
 def check_alone(world):
-    """Raise RecordingError if another client ticks this server, leave a mode that a killed recorder left behind."""
+    """Raise RecordingError if another client ticks this server; end the synchronous mode of a killed recorder."""
     if not world.get_settings().synchronous_mode:
         return
     first = world.get_snapshot().frame
