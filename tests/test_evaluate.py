@@ -41,9 +41,9 @@ def test_results_are_beside_the_checkpoint_or_in_the_folder_that_is_named():
     ("words", "message"),
     [
         (["data.batch_size=1"], "name a checkpoint"),
-        (["any-rig", "robustness=all"], "of the depth stage; this needs one of the occupancy stage"),
-        (["any-rig", "nowhere.ckpt"], r"of the depth stage.*\n.*nowhere\.ckpt"),
-        (["any-rig", "nowhere.ckpt", "robustness=all"], r"of the depth stage.*\n.*nowhere\.ckpt"),
+        (["tiny-depth", "robustness=all"], "of the depth stage; this needs one of the occupancy stage"),
+        (["tiny-depth", "nowhere.ckpt"], r"of the depth stage.*\n.*nowhere\.ckpt"),
+        (["tiny-depth", "nowhere.ckpt", "robustness=all"], r"of the depth stage.*\n.*nowhere\.ckpt"),
     ],
 )
 def test_mistakes_are_one_line(words, message):

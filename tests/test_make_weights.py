@@ -33,6 +33,9 @@ def tool(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_recipe_is_a_configuration_that_trains(name, tool, tmp_path):
     recipe = tool.recipe_of(name)
+    if "depth" in recipe:  # put together from two others
+        assert all(tool.recipe_of(recipe[part])["stage"] == part for part in ("occupancy", "depth"))
+        return
     config = compose_plain(ROOT / "conf", "train", recipe["overrides"])
     check_root(OmegaConf.create(config))
     folder, checkpoint = tool.folder_of(recipe, tmp_path)
@@ -45,7 +48,9 @@ def test_every_recipe_is_a_configuration_that_trains(name, tool, tmp_path):
 def test_a_recipe_may_be_like_another_and_a_wrong_name_is_answered(tool):
     assert tool.recipe_of("tiny-depth")["overrides"] == tool.recipe_of("tiny")["overrides"]
     assert tool.recipe_of("tiny-depth")["stage"] == "depth"
-    with pytest.raises(UserError, match=r"NAME=large: choose one of any-rig, any-rig-480, tiny, tiny-depth"):
+    with pytest.raises(
+        UserError, match=r"NAME=large: choose one of any-rig, any-rig-480, any-rig-depth, tiny, tiny-depth"
+    ):
         tool.recipe_of("large")
 
 
@@ -124,18 +129,18 @@ def test_the_card_of_a_whole_chain_has_scores_by_distance_and_class():
 
 def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
     recipe = {"stage": "depth", "overrides": ["preset=smoke", "stage=depth", "data.source.workers=0"]}
-    frames = tmp_path / "frames"
-    tool.record_frames(recipe, frames)
-    scenes = sorted(path.name for path in frames.iterdir() if path.is_dir())
-    assert [name[:9] for name in scenes] == ["test-000-", "test-001-"]
-    (frames / scenes[0] / "frames-000.tar").touch()
-    before = (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns
-    tool.record_frames(recipe, frames)
-    assert (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns == before
     config = tool.config_of(recipe)
     weights = {f"model.{name}": value for name, value in build(config.depth).state_dict().items()}
     path = tmp_path / "x.safetensors"
     pack_weights(path, "depth", OmegaConf.to_container(config, resolve=True), weights, {})
+    trained, frames = tool.load(path), tmp_path / "frames"
+    tool.record_frames(trained, frames)
+    scenes = sorted(path.name for path in frames.iterdir() if path.is_dir())
+    assert [name[:9] for name in scenes] == ["test-000-", "test-001-"]
+    (frames / scenes[0] / "frames-000.tar").touch()
+    before = (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns
+    tool.record_frames(trained, frames)
+    assert (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns == before
     figures = tool.figures_of(path, frames)
     assert 0 < figures["test/depth/mae"] < 100
     assert figures == tool.figures_of(path, frames)
@@ -143,7 +148,7 @@ def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
 
 def test_recipes_hold_nothing_else():
     known = {"like", "stage", "half", "overrides", "shipped", "good_for", "not_good_for"}
-    known |= {"is_start", "starts_from", "more_overrides", "frames"}
+    known |= {"is_start", "starts_from", "more_overrides", "frames", "occupancy", "depth"}
     for name in NAMES:
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known
 
@@ -165,3 +170,19 @@ def test_each_shipped_file_gives_the_figures_of_its_card(name, tool):
     assert rows.keys() == dict(stated).keys()
     for title, value in stated:
         assert float(rows[title]) == pytest.approx(float(value), rel=2e-3, abs=2e-4), title
+
+
+def test_weights_put_together_have_the_ranges_of_one_file_and_the_rest_of_the_other(tool):
+    """The shipped any-rig is what its recipe makes of the two files."""
+    recipe, whole = tool.recipe_of("any-rig"), load_checkpoint("any-rig")
+    rest, depth = load_checkpoint(recipe["occupancy"]), load_checkpoint(tool.file_of(recipe["depth"], True))
+    inside = {name: value for name, value in whole.weights.items() if name.startswith("model.sketch.depth.")}
+    for name, value in depth.weights.items():
+        assert torch.equal(inside.pop(name.replace("model.", "model.sketch.depth.", 1)), value)
+    assert not inside
+    others = [name for name in rest.weights if not name.startswith("model.sketch.depth.")]
+    assert all(torch.equal(whole.weights[name], rest.weights[name]) for name in others)
+    assert whole.config.depth == whole.config.model.sketch.depth == depth.config.depth
+    assert whole.config.model.lifter == rest.config.model.lifter
+    for key, value in recipe["shipped"].items():
+        assert OmegaConf.select(whole.config, key) == value

@@ -25,10 +25,11 @@ from omniocc.io import atomic_write, checked_name
 from omniocc.metric import DepthMetrics
 from omniocc.parts import Parts
 from omniocc.predict import load
+from omniocc.predict.trained import Trained
 from omniocc.report.card import card
-from omniocc.runs.checkpoint import load_checkpoint
+from omniocc.runs.checkpoint import MODEL, PREFIXES, Checkpoint, load_checkpoint, part_weights
 from omniocc.runs.checkpoint_io import BEST, LAST
-from omniocc.runs.folder import run_hash
+from omniocc.runs.folder import git_commit, run_hash
 from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
 from omniocc.runs.script import quiet_libraries
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
@@ -88,13 +89,13 @@ def train(recipe: dict[str, Any]) -> str:
     return shlex.join(command)
 
 
-def record_frames(recipe: dict[str, Any], folder: Path) -> None:
-    """Record two frames of each of two test scenes of a recipe's data, unless they are there."""
+def record_frames(trained: Trained, folder: Path) -> None:
+    """Record two frames of each of two test scenes of the data of weights, unless they are there."""
     if folder.is_dir():
         return
     counts = {"train_scenes": 0, "val_scenes": 0, "test_scenes": 2, "frames_per_scene": 2}
     with tempfile.TemporaryDirectory() as place:
-        source = cast(VirtualWorld, Parts(config_of(recipe)).source(root=place, **counts))
+        source = cast(VirtualWorld, Parts(trained.config).source(root=place, **counts))
         source.prepare()
         shutil.copytree(source.folder, folder, ignore=shutil.ignore_patterns(".*"))
 
@@ -125,24 +126,60 @@ def range_errors(weights: Path, scenes: list[SceneFrames]) -> dict[str, float]:
     return {f"test/depth/{key}": float(value) for key, value in errors.compute().items()}
 
 
-def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, command: str) -> Path:
-    """Write the file of weights and its card, and return the file."""
-    trained, (facts, metrics) = load_checkpoint(folder / checkpoint), load_results(folder)
+def with_depth(occupancy: Checkpoint, depth: Checkpoint) -> Checkpoint:
+    """Return an occupancy checkpoint whose depth network is that of another one; the rest stays as it is."""
+    prefix = f"{MODEL}{PREFIXES['depth']['occupancy']}"
+    rest = {key: value for key, value in occupancy.weights.items() if not key.startswith(prefix)}
+    network = {f"{prefix}{key}": value for key, value in part_weights(depth, "depth").items()}
+    config = OmegaConf.merge(occupancy.config, {})
+    for place in ("depth", "model.sketch.depth"):
+        OmegaConf.update(config, place, depth.config.depth, merge=False)
+    return occupancy._replace(config=cast(DictConfig, config), weights=rest | network)
+
+
+def pack_combined(name: str, recipe: dict[str, Any]) -> Path:
+    """Write a file of weights of parts of two others, score it on the test scenes of its data, and return the file."""
+    parts = {
+        key: file_of(recipe[key], is_start=not file_of(recipe[key], False).is_file()) for key in ("occupancy", "depth")
+    }
+    made = {part: f"{file.stem}, {digest_of(read_weights(file)[0]['state_dict'])[:12]}" for part, file in parts.items()}
+    made = {"command": f"make weights NAME={name}", **made, "commit": git_commit()}
+    path = write(name, recipe, with_depth(*(load_checkpoint(file) for file in parts.values())), made)
+    source = cast(VirtualWorld, load(path).data.source)
+    source.made("test", list(source.planned("test")))
+    write_card(name, recipe, path, made | {"data": source.fingerprint[:12]}, figures_of(path, source.folder))
+    return path
+
+
+def write(name: str, recipe: dict[str, Any], trained: Checkpoint, made: dict[str, Any]) -> Path:
+    """Write a file of weights with the changes of its recipe and facts about it, and return the file."""
     for key, value in recipe.get("shipped", {}).items():
-        OmegaConf.update(trained.config, key, value)
+        OmegaConf.update(trained.config, key, value, force_add=True)
+    path = file_of(name, recipe.get("is_start", False))
     config = OmegaConf.to_container(trained.config)
+    pack_weights(path, trained.stage, config, trained.weights, made, recipe["half"])  # type: ignore[arg-type]
+    return path
+
+
+def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, command: str) -> Path:
+    """Write the file of weights of a training and its card, and return the file."""
+    facts, metrics = load_results(folder)
     made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
     made |= {key: facts[key] for key in ("seed", EARLIER_MINUTES, MINUTES) if key in facts}
-    path = file_of(name, recipe.get("is_start", False))
-    pack_weights(path, trained.stage, config, trained.weights, made, recipe["half"])  # type: ignore[arg-type]
+    path = write(name, recipe, load_checkpoint(folder / checkpoint), made)
+    write_card(name, recipe, path, made, metrics)
+    return path
+
+
+def write_card(name: str, recipe: dict[str, Any], path: Path, made: dict[str, Any], metrics: dict[str, float]) -> None:
+    """Write the card beside a file of weights; raise UserError if the file is too large to be shipped."""
     size_mb = path.stat().st_size / 1e6
     if size_mb > LIMIT_MB:
         raise UserError(f"{path} has {size_mb:.1f} MB; at most {LIMIT_MB} MB can be shipped")
     made |= {"size": f"{size_mb:.1f} MB", "sha256": digest_of(read_weights(path)[0]["state_dict"])}
     frames = FRAMES / recipe.get("frames", name)
-    record_frames(recipe, frames)
+    record_frames(load(path), frames)
     atomic_write(path.with_suffix(".md"), card(name, recipe, made, metrics, figures_of(path, frames)))
-    return path
 
 
 def main(names: list[str]) -> None:
@@ -152,6 +189,9 @@ def main(names: list[str]) -> None:
         path.stem for path in RECIPES.glob("*.yaml") if not recipe_of(path.stem).get("is_start")
     ):
         recipe = recipe_of(name)
+        if "depth" in recipe:
+            print(pack_combined(name, recipe))
+            continue
         if "starts_from" in recipe and not file_of(recipe["starts_from"], True).is_file():
             main([recipe["starts_from"]])
         command = train(recipe)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
@@ -13,7 +14,7 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.files import holds, is_url
-from omniocc.data.store.meta import RENDERED_REACH_M, SOFTWARE, append_frame, finish_scene, recorded_spec
+from omniocc.data.store.meta import ORIGIN, RENDERED_REACH_M, SOFTWARE, append_frame, finish_scene, recorded_spec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, SceneWriter, digest
 from omniocc.errors import DataError
@@ -36,6 +37,9 @@ PANORAMA = ("erp_size", "erp_top_deg", "erp_bottom_deg")
 SETTINGS = ("frame_interval_s", "supersample", *PANORAMA, "weather", "label_mode", "lidars", "capture")
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
+DRAWN = "drawn"
+HIGHEST_M = 10.0
+"""Greatest height of the ego origin above the road."""
 
 
 class ScenePlan(NamedTuple):
@@ -86,6 +90,8 @@ class VirtualWorld:
         test_places: those of `themes` that are left out of training and validation; the test consists of them.
         late_camera_ms: how much older than their time stamps the images of one camera are, ms, at most 200; the cameras
             take turns from scene to scene.
+        origin_above_road_m: height of the ego origin, in which voxels and ranges are, above the road, m; `drawn` draws
+            one for each scene, from that of the rig to that of most voxel grids; None leaves it where the rig has it.
         seed: of the streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -117,6 +123,7 @@ class VirtualWorld:
         repainted_fraction: float = 0.0,
         test_places: Sequence[str] = (),
         late_camera_ms: float = 0.0,
+        origin_above_road_m: float | Literal["drawn"] | None = None,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -145,6 +152,14 @@ class VirtualWorld:
         if not 0 <= late_camera_ms <= late.LONGEST_MS:
             raise ValueError(f"late_camera_ms is {late_camera_ms}; it must be from 0 to {late.LONGEST_MS:g}")
         self.late_camera_ms = float(late_camera_ms)
+        if origin_above_road_m not in (None, DRAWN):
+            origin_above_road_m = float(origin_above_road_m)
+            if not 0 < origin_above_road_m <= HIGHEST_M:
+                raise ValueError(
+                    f"origin_above_road_m is {origin_above_road_m:g}; it must be above 0 and at most {HIGHEST_M:g}, or "
+                    f"{DRAWN}"
+                )
+        self.origin_above_road_m = origin_above_road_m
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
@@ -174,6 +189,7 @@ class VirtualWorld:
             "shard_limit_bytes": self.shard_limit_bytes,
             **({"repainted_fraction": self.repainted_fraction} if self.repainted_fraction else {}),
             **({"late_camera_ms": self.late_camera_ms} if self.late_camera_ms else {}),
+            **({} if self.origin_above_road_m is None else {ORIGIN: self.origin_above_road_m}),
             **({"variations": variations_code()} if self.late_camera_ms or self.weather == night.NIGHT else {}),
         }
 
@@ -189,8 +205,11 @@ class VirtualWorld:
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the classes, bands and rays of the virtual world, and the road's height, None for drawn rigs."""
-        return world_spec(self.frame_interval_s, None if self.rig is None else road_of(self.rig))
+        """Return the classes, bands and rays of the virtual world, and the road's height, None if scenes differ."""
+        if isinstance(self.origin_above_road_m, float):
+            return world_spec(self.frame_interval_s, -self.origin_above_road_m)
+        one_height = None if self.rig is None or self.origin_above_road_m == DRAWN else road_of(self.rig)
+        return world_spec(self.frame_interval_s, one_height)
 
     @property
     def name(self) -> str:
@@ -224,8 +243,17 @@ class VirtualWorld:
         return tuple(theme for theme in self.themes if (theme in self.test_places) == (split == "test"))
 
     def rig_of(self, plan: ScenePlan) -> Rig:
-        """Return the cameras of one scene."""
-        return self.rig or draw_rig(seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
+        """Return the cameras of one scene, in its ego frame."""
+        rig = self.rig or draw_rig(seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
+        origin_m = self.origin_above_road_m
+        if origin_m is None:
+            return rig
+        road_m = road_of(rig)
+        if isinstance(origin_m, str):
+            # a third of the scenes each at the rig's height, between, and at the height of most voxel grids
+            share = seeding.generator(plan.theme, plan.seed, "origin").uniform(-1, 2)
+            origin_m = -road_m + min(max(share, 0.0), 1.0) * (road_m - EGO_ROAD_M)
+        return replace(rig, road_z_m=road_m).raised(road_m + origin_m)
 
     def calibration_of(self, plan: ScenePlan) -> Rig:
         """Return the cameras of one scene as they are recorded: with masks, drawn rigs with errors of their poses."""
@@ -250,7 +278,7 @@ class VirtualWorld:
 
     def planned_rig(self) -> Rig:
         """Return the cameras of the first training scene."""
-        return self.rig or self.rig_of(self.plans[0])
+        return self.rig if self.rig is not None and self.origin_above_road_m is None else self.rig_of(self.plans[0])
 
     def planned(self, split: Split) -> dict[str, int]:
         """Return the numbers of frames of the scenes of a split, by name, in order."""

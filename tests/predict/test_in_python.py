@@ -38,6 +38,7 @@ def test_the_lines_of_the_page_do_what_the_commands_do(composed, tmp_path, monke
     voxels = found["voxels"]
     assert len(np.unique(voxels.labels)) > 3
     assert np.array_equal(voxels.labels, written["labels"])
+    assert np.array_equal(voxels.probability, written["probability"])
     assert np.array_equal(np.transpose(voxels.grid.bounds), [written["low"], written["high"]])
     assert voxels.names == tuple(written["class_names"])
     assert np.array_equal(voxels.colors, written["class_colors"])
@@ -68,9 +69,9 @@ def test_a_rig_at_another_height_moves_the_grid(tmp_path, capsys, composed, monk
 
 
 def test_what_a_checkpoint_does_not_hold_is_said_in_one_way():
-    trained = omniocc.load("any-rig", ["depth.panorama.bottom_deg=-60"])
+    trained = omniocc.load("tiny-depth", ["depth.panorama.bottom_deg=-60"])
     assert trained.model.panorama.bottom_deg == -60
-    with pytest.raises(UserError, match=r"any-rig.*depth stage.*occupancy"):
+    with pytest.raises(UserError, match=r"tiny-depth.*depth stage.*occupancy"):
         trained.task  # noqa: B018 - it is built when it is asked for
     with pytest.raises(UserError, match=r"depth.hints: this has no effect on"):
         omniocc.load("tiny", ["depth.hints=false"]).model  # noqa: B018

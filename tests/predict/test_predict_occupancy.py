@@ -15,7 +15,7 @@ from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras
-from omniocc.classes import ClassTable, SemanticClass
+from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.errors import UserError
@@ -92,6 +92,9 @@ def test_images_give_the_labels_of_evaluation(evaluated, images, checkpoint, tmp
     assert len(np.unique(expected)) > 3  # otherwise equality would prove nothing
     source, poses = source_of(images, checkpoint), f"poses={images / 'poses.csv'}"
     run(*source, poses, *QUICK, f"output={tmp_path / 'stream'}")
+    seen = np.stack([np.load(tmp_path / "stream" / frame / "voxels.npz")["seen"] for frame in FRAMES])
+    assert 0.5 < seen.mean() < 1
+    expected = np.where(seen, expected, UNKNOWN)
     assert np.array_equal(labels_in(tmp_path / "stream"), expected)
     assert "history   stream: up to 2 past frames" in capsys.readouterr().out
     run(*source, poses, *QUICK, f"output={tmp_path / 'window'}", "history=window")
@@ -100,6 +103,7 @@ def test_images_give_the_labels_of_evaluation(evaluated, images, checkpoint, tmp
     assert "history   off: without poses=..." in capsys.readouterr().out
     alone = labels_in(tmp_path / "none")
     assert np.array_equal(alone[0], expected[0])
+    assert (alone == UNKNOWN).sum() >= (expected == UNKNOWN).sum()  # past frames saw more
     assert all((alone[k] != expected[k]).any() for k in range(1, len(FRAMES)))
 
 
@@ -208,7 +212,8 @@ def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_pa
     source = (f"checkpoint={checkpoint}", f"images={images}", f"rig={tmp_path / 'low.yaml'}")
     run(*source, f"poses={tmp_path / 'low.csv'}", "road_z_m=-0.5", "overview=false", f"output={tmp_path / 'out'}")
     assert "0.5 m below the origin of the rig (its road_z_m), 2.2 m in the training" in capsys.readouterr().out
-    assert (labels_in(tmp_path / "out") == evaluated[0]).mean() > 0.999  # apart from rounding of poses
+    labels = labels_in(tmp_path / "out")
+    assert (labels == evaluated[0])[labels != UNKNOWN].mean() > 0.999  # apart from rounding of poses
     arrays = np.load(tmp_path / "out" / FRAMES[1] / "voxels.npz")
     assert np.allclose((arrays["low"][2], arrays["high"][2]), (-2.8 + 1.7, 3.6 + 1.7))
     assert np.allclose(arrays["world_from_ego"], world_from_low[1].numpy())

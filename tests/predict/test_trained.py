@@ -36,7 +36,7 @@ def test_a_model_of_random_rigs_says_so():
     assert drawn.road_z_m is None
     width, height = drawn.image_size
     assert width * height == pytest.approx(64 * 36, rel=0.15)
-    assert drawn.compare(Rig.load("surround_view")) == "trained with rigs drawn at random"
+    assert drawn.compare(Rig.load("surround_view")) == "for rigs drawn at random"
     assert own.compare(Rig.load("fisheye6")) == "as in training"
 
 

@@ -163,6 +163,13 @@ class Rig:
         masks = _changed(self.masks, lambda mask: _resized_mask(mask, width, height))
         return replace(self, cameras=cameras, masks=masks)
 
+    def raised(self, height_m: float) -> "Rig":
+        """Return the same cameras in an ego frame whose origin is `height_m` higher."""
+        poses = self.ego_from_camera.clone()
+        poses[:, 2, 3] -= height_m
+        road_z_m = None if self.road_z_m is None else self.road_z_m - height_m
+        return replace(self, ego_from_camera=poses, road_z_m=road_z_m)
+
     @cached_property
     def fingerprint(self) -> str:
         """Return a hash of models, poses, names, masks and road: equal for equal rigs, in every process."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from torch import Tensor
 
 from omniocc.batch import Truth
+from omniocc.classes import FREE, UNKNOWN
 from omniocc.draw import save_png
 from omniocc.draw.voxel_sheet import RangePanorama, occupancy_sheet
 from omniocc.metric import VoxelIoU
@@ -103,13 +104,15 @@ class Job:
     ) -> str:
         """Write, show and score a prediction, and return a line about it."""
         truth = sequence.truth(frame, self.predictor.model.geometry, self.trained.ignore)
+        if truth is None:  # scores are of every cell, as in a test
+            prediction = prediction.without_unseen()
         with watch("write"):
             self._write(sequence, frame, given.original, prediction, truth)
         if self.show is not None:
             self.show(self, sequence, frame, given.original, prediction, truth)
         scored = "" if truth is None else f"{self._score(prediction.labels, truth)}; "
         self.seconds.append(watch.seconds)
-        occupied = int((prediction.labels > 0).sum())
+        occupied = int(((prediction.labels != FREE) & (prediction.labels != UNKNOWN)).sum())
         return f"{self._folder(sequence, frame)}: {occupied} voxels; {scored}{watch}"
 
     def _write(

@@ -51,6 +51,8 @@ def options_of(cfg: DictConfig) -> Options:
         raise UserError("rig=..., poses=... and road_z_m=... belong to images=...; recorded scenes have their own")
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
+    if not 0 < (0.5 if options.occupied_above is None else options.occupied_above) < 1:
+        raise UserError(f"occupied_above={options.occupied_above}: give a probability between 0 and 1")
     return options
 
 
@@ -71,7 +73,9 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
         rig_of(options).save(Path(options.output) / OWN_RIG)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
     scores = scores_of(model, trained, sequences)
-    job = Job(Predictor(model, width, options.exclude_cameras, device), history, trained, options, scores, show)
+    above = found.occupied_above if options.occupied_above is None else options.occupied_above
+    predictor = Predictor(model, width, options.exclude_cameras, device, above)
+    job = Job(predictor, history, trained, options, scores, show)
     job.run(sequences)
     for line in job.summary():
         print(line, flush=True)
@@ -172,7 +176,7 @@ def facts_of(
         "image_width": width,
         "exclude_cameras": list(options.exclude_cameras),
         "ignore": None if own is not None else ignore,
-    } | ({} if options.image_bits is None else {"image_bits": options.image_bits})
+    } | {key: value for key in ("image_bits", "occupied_above") if (value := getattr(options, key)) is not None}
 
 
 def announcement(

@@ -33,6 +33,7 @@ class Options:
     device: str | None
     viewer: str | None = None
     image_bits: int | None = None
+    occupied_above: float | None = None
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:

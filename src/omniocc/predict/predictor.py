@@ -1,16 +1,20 @@
 """Apply a depth option to one frame, or an occupancy model to one frame after the other, with or without history."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Float64, UInt8
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.masks import mask_cameras
+from omniocc.camera.pose import invert_pose
+from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
+from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
@@ -29,14 +33,22 @@ class PredictedFrame(NamedTuple):
     """The prediction for one frame, on the CPU.
 
     Attributes:
-        labels: class of every cell.
+        labels: class of every cell; of those that no camera sees it is a guess, or 255 (`without_unseen`).
         candidates: cells that the sketch chose.
         range_m: the depth network's panorama, nan where it predicts no range; None for a sketch without depth.
+        probability: that the cell is occupied; and if it is, that it has its most likely class.
+        seen: cells whose centre some camera sees, now or in a past frame that is used; others may hide them.
     """
 
     labels: UInt8[Tensor, "X Y Z"]
     candidates: Bool[Tensor, "X Y Z"]
     range_m: Float32[Tensor, "h w"] | None
+    probability: Float16[Tensor, "2 X Y Z"]
+    seen: Bool[Tensor, "X Y Z"]
+
+    def without_unseen(self) -> "PredictedFrame":
+        """Return the frame with unknown labels (255) where no camera sees."""
+        return self._replace(labels=self.labels.masked_fill(~self.seen, UNKNOWN))
 
 
 class Input(NamedTuple):
@@ -55,6 +67,34 @@ class Input(NamedTuple):
     world_from_ego: Float64[Tensor, "4 4"] | None = None
     true_range_m: Float32[Tensor, "1 h w"] | None = None
     original: Images = ()
+
+
+def decide(
+    logits: Float[Tensor, "C X Y Z"], occupied_above: float | None
+) -> tuple[UInt8[Tensor, "X Y Z"], Float16[Tensor, "2 X Y Z"]]:
+    """Return the labels of logits, and the probabilities of `PredictedFrame`.
+
+    A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class but free if
+    it is occupied with a higher probability than this, else it is free.
+    """
+    probability = logits.float().softmax(0)
+    most_likely, label = probability[1:].max(0)
+    occupied = 1 - probability[0]
+    chosen = logits.argmax(0) if occupied_above is None else (label + 1).where(occupied > occupied_above, 0)
+    return chosen.to(torch.uint8), torch.stack([occupied, most_likely / occupied.clamp(min=1e-6)]).half()
+
+
+def seen_cells(
+    grid: Grid, views: Iterable[tuple[Rig, Float64[Tensor, "4 4"]]], world_from_ego: Float64[Tensor, "4 4"]
+) -> Bool[Tensor, "X Y Z"]:
+    """Return the cells around a pose whose centre falls on a usable pixel of some camera of these rigs and poses."""
+    centers, seen = grid.centers(torch.float64), torch.zeros(grid.shape, dtype=torch.bool)
+    for rig, pose in views:
+        there_from_here = invert_pose(pose) @ world_from_ego
+        points = centers @ there_from_here[:3, :3].T + there_from_here[:3, 3]
+        for camera in range(len(rig.cameras)):
+            seen |= rig.project_into(camera, points)[1]
+    return seen
 
 
 def predict_depth(model: nn.Module, images: Float32[Tensor, "1 N 3 H W"], rig: Rig, device: torch.device) -> DepthMap:
@@ -84,14 +124,24 @@ class Predictor:
         image_width: approximate width that images are scaled to, px; None: the rig's.
         excluded: names of the cameras to leave out.
         device: to compute on.
+        occupied_above: see `decide`.
     """
 
-    def __init__(self, model: OccupancyModel, image_width: int | None, excluded: Sequence[str], device: torch.device):
+    def __init__(
+        self,
+        model: OccupancyModel,
+        image_width: int | None,
+        excluded: Sequence[str],
+        device: torch.device,
+        occupied_above: float | None = None,
+    ):
         self.model = model.to(device)
         self.image_width = image_width
         self.excluded = tuple(excluded)
         self.device = device
         self.stream = Stream(self.model)
+        self.occupied_above = occupied_above
+        self._views: deque[tuple[Rig, Tensor]] = deque(maxlen=model.temporal.frames)
 
     @property
     def panorama(self) -> Equirectangular | None:
@@ -132,6 +182,7 @@ class Predictor:
         for lift in schedule(wanted, self.model.temporal.frames, history):
             if lift.reset:
                 self.stream.reset()
+                self._views.clear()
             watch = Stopwatch(self.device, STEPS)
             with watch("read"):
                 given = read(lift.frame)
@@ -151,15 +202,17 @@ class Predictor:
         try:
             sketched, depth = self._choose(images, given, watch)
             with watch("occupancy"):
-                seen = mask_cameras(given.rig, self.excluded)
-                logits = self.stream.step(images[0], seen, pose.to(self.device), sketched)
-                labels = logits.argmax(0).to(torch.uint8).cpu()
+                unmasked = mask_cameras(given.rig, self.excluded)
+                self._views.append((unmasked, pose))
+                logits = self.stream.step(images[0], unmasked, pose.to(self.device), sketched)
+                labels, probability = (part.cpu() for part in decide(logits, self.occupied_above))
+                seen = seen_cells(self.model.geometry, self._views, pose)
         except ValueError as error:
             raise UserError(str(error)) from error
         if not bool(logits.isfinite().all()):
             raise UserError(NOT_FINITE)
         range_m = None if depth is None else depth.known_range_m()[0].cpu()
-        return PredictedFrame(labels, sketched.candidates[0].cpu(), range_m)
+        return PredictedFrame(labels, sketched.candidates[0].cpu(), range_m, probability, seen)
 
     def _choose(self, images: Tensor, given: Input, watch: Stopwatch) -> tuple[Sketched, DepthMap | None]:
         """Return the candidates and their ranges; depth ignores the black images of excluded cameras."""

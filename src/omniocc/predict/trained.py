@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float16, Float32, UInt8
 from omegaconf import DictConfig
 from torch import nn
 
@@ -48,13 +48,15 @@ class PredictedVoxels(NamedTuple):
     """Classes of the cells around a car.
 
     Attributes:
-        labels: class of every cell, 0 free.
+        labels: class of every cell, 0 free, 255 where no camera sees.
+        probability: that the cell is occupied; and if it is, that it has its most likely class.
         grid: grid of the labels, in the ego frame of the given rig.
         names: names of the classes, by id.
         colors: RGB of the classes, by id.
     """
 
     labels: UInt8[np.ndarray, "X Y Z"]
+    probability: Float16[np.ndarray, "2 X Y Z"]
     grid: Grid
     names: tuple[str, ...]
     colors: UInt8[np.ndarray, "K 3"]
@@ -174,6 +176,17 @@ class Trained:
         self._data.check_classes()
         return TrainingData.of(self._data, self.config)
 
+    def predict_ranges(self, images: Images | UInt8[np.ndarray, "N H W 3"], rig: Rig | str | Path) -> PredictedRanges:
+        """Return the ranges around a car from one frame, by the depth network of a checkpoint of any stage.
+
+        Arguments and errors are those of `predict`. The panorama is around the origin of the rig.
+        """
+        rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
+        check_images(frame := list(images), rig)
+        batch, scaled = resized_to_width(frame, rig, self.facts.width_for(rig))
+        depth = on_road(predict_depth(self.depth, batch, scaled, choose_device(None)), self.depth, scaled, WITHIN)
+        return PredictedRanges(depth.known_range_m()[0].numpy(), cast(Equirectangular, self.depth.panorama))
+
     def predict(
         self, images: Images | UInt8[np.ndarray, "N H W 3"], rig: Rig | str | Path
     ) -> PredictedVoxels | PredictedRanges:
@@ -189,21 +202,27 @@ class Trained:
         Raises:
             UserError: also when the rig cannot be used, the images do not fit it, or the network returns NaN.
         """
+        if self.stage != OccupancyTask.STAGE:
+            return self.predict_ranges(images, rig)
         rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
         check_images(frame := list(images), rig)
         facts, device = self.facts, choose_device(None)
         width, classes = facts.width_for(rig), facts.classes
-        if self.stage != OccupancyTask.STAGE:
-            batch, scaled = resized_to_width(frame, rig, width)
-            depth = on_road(predict_depth(self.depth, batch, scaled, device), self.depth, scaled, WITHIN)
-            return PredictedRanges(depth.known_range_m()[0].numpy(), cast(Equirectangular, self.depth.panorama))
         placed, raised_m, message = facts.place(rig)
         if message:
             print(f"road      {message}", file=sys.stderr, flush=True)
-        predictor = Predictor(self.occupancy, width, (), device)
-        found = predictor.step(Input(*predictor.scaled(frame, placed)), Stopwatch(device, STEPS))
+        predictor = Predictor(self.occupancy, width, (), device, self.occupied_above)
+        found = predictor.step(Input(*predictor.scaled(frame, placed)), Stopwatch(device, STEPS)).without_unseen()
         grid, colors = raise_grid(self.occupancy.geometry, raised_m), classes.palette[: classes.num_classes]
-        return PredictedVoxels(found.labels.numpy(), grid, classes.names, colors)
+        return PredictedVoxels(found.labels.numpy(), found.probability.numpy(), grid, classes.names, colors)
+
+    @property
+    def occupied_above(self) -> float | None:
+        """Return the probability above which a cell counts as occupied; None: the most likely class counts."""
+        value = self.config.get("occupied_above")
+        if not (value is None or (isinstance(value, float) and 0 < value < 1)):
+            raise UserError(f"{self.path} is damaged: occupied_above is {value}; it must be between 0 and 1")
+        return value
 
     @cached_property
     def _data(self) -> OccupancyData:

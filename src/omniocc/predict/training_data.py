@@ -9,7 +9,7 @@ from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
 from omniocc.data.source import Ignore
 from omniocc.data.source.cameras import training_rig
-from omniocc.predict.input.sequence import raise_rig
+from omniocc.data.store.meta import DRAWN_RIG
 from omniocc.predict.road import NO_ROAD
 
 UNMOVED_M = 0.0005
@@ -68,8 +68,8 @@ class TrainingData:
 
     def compare(self, rig: Rig) -> str:
         """Return in words whether the model was trained with this rig."""
-        if self.road_z_m is None:
-            return "trained with rigs drawn at random"
+        if self.rig_name == DRAWN_RIG:
+            return "for rigs drawn at random"
         return (
             "as in training" if self.has(rig) else f"not those of the training ({self.rig_name}): expect worse results"
         )
@@ -96,4 +96,4 @@ class TrainingData:
                 f"{-here_m:g} m below the origin of the rig (its road_z_m), {-there_m:g} m in the training: the grid "
             )
             line += f"lies {moved}; if that is wrong, correct road_z_m"
-        return raise_rig(rig, height_m) if height_m else rig, height_m, line
+        return rig.raised(height_m) if height_m else rig, height_m, line

@@ -379,6 +379,41 @@ def test_the_road_of_a_drawn_rig_lies_where_the_rig_says(tmp_path):
     assert max(heights_m) - min(heights_m) > 0.8
 
 
+def test_the_origin_of_every_scene_lies_where_it_is_wanted(tmp_path):
+    arguments = {"root": str(tmp_path), "rig": "random", "image_size": (48, 27), "themes": ["suburb"]}
+    numbers = {"train_scenes": 60, "val_scenes": 0, "test_scenes": 0, "frames_per_scene": 1, "frame_interval_s": 0.5}
+    panorama = {"supersample": 1, "erp_size": (64, 16), "erp_top_deg": 45.0, "erp_bottom_deg": -45.0}
+    at_rig, at_grid, drawn = (
+        VirtualWorld(**arguments, **numbers, **panorama, origin_above_road_m=where) for where in (None, 2.2, "drawn")
+    )
+    plan = at_rig.plans[0]
+    for world in (at_rig, at_grid):
+        world.prepare([plan])
+    low, high = (world.reader(plan) for world in (at_rig, at_grid))
+    road_m = low.rig.road_z_m
+    assert at_grid.spec.road_z_m == spec_of(high).road_z_m == pytest.approx(high.rig.road_z_m) == pytest.approx(-2.2)
+    raised = (high.world_from_ego[0] - low.world_from_ego[0])[:3, 3]
+    assert np.linalg.norm(raised) == pytest.approx(road_m + 2.2)
+    assert all(map(np.array_equal, low.images(0), high.images(0)))
+    road_class, heights_m = at_grid.spec.classes.names.index("Road"), []
+    for scene in (low, high):
+        points = scene.points(0)
+        near = (np.hypot(*points.points_m[:, :2].T) < 6) & (points.labels == road_class)
+        heights_m.append(np.median(points.points_m[near, 2]))
+    assert heights_m[1] == pytest.approx(-2.2, abs=0.3)  # the road is curved
+    assert heights_m[1] - heights_m[0] == pytest.approx(-2.2 - road_m, abs=0.05)
+    # a flat road below: at the lower edge of the panorama its range is proportional to the height of the origin
+    bottom_m = [np.median(scene.erp_range_m(0)[-1]) for scene in (low, high)]
+    assert bottom_m[1] / bottom_m[0] == pytest.approx(2.2 / -road_m, rel=0.1)
+    assert drawn.spec.road_z_m is None
+    above = [(-drawn.rig_of(one).road_z_m, -at_rig.rig_of(one).road_z_m) for one in drawn.plans]
+    assert 10 < sum(origin_m == pytest.approx(rig_m) for origin_m, rig_m in above) < 30
+    assert 10 < sum(origin_m == pytest.approx(2.2) for origin_m, _ in above) < 30
+    assert all(min(rig_m, 2.2) - 1e-6 <= origin_m <= max(rig_m, 2.2) + 1e-6 for origin_m, rig_m in above)
+    with pytest.raises(ValueError, match="origin_above_road_m is -1; it must be above 0 and at most 10, or drawn"):
+        VirtualWorld(**arguments, **numbers, **panorama, origin_above_road_m=-1)
+
+
 def test_drawn_rigs_are_recorded_with_errors_and_share_weathers_evenly(tmp_path):
     arguments = {"root": str(tmp_path), "rig": "random", "image_size": (48, 27), "themes": [*THEMES, "solids"]}
     numbers = {"train_scenes": 90, "val_scenes": 9, "test_scenes": 0, "frames_per_scene": 1, "frame_interval_s": 0.5}

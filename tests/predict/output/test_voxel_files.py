@@ -27,7 +27,8 @@ CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (k, 2 * k, 255 - k)) for
 def prediction() -> PredictedFrame:
     labels = torch.zeros(GRID.shape, dtype=torch.uint8)
     labels[1, 2, 0] = 18
-    return PredictedFrame(labels, labels > 0, None)
+    probability = torch.rand(2, *GRID.shape).half()
+    return PredictedFrame(labels, labels > 0, None, probability, torch.ones(GRID.shape, dtype=torch.bool))
 
 
 def test_nineteen_classes_have_their_own_names_and_colours(tmp_path):

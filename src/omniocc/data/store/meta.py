@@ -18,6 +18,8 @@ from rayiou.directions import sparseocc_directions
 
 DRAWN_RIG = "random"
 """Value of `rig` in the recipe of scenes that each have a randomly drawn rig."""
+ORIGIN = "origin_above_road_m"
+"""Key of a recipe that sets the height of the ego origin above the road."""
 RENDERED_REACH_M = (26.0, 26.0, 6.0)
 """Points of rendered scenes end at these distances from the ego origin along x, y and z."""
 MAX_EDGES = 100

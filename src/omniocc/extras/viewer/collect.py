@@ -91,7 +91,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
 def _prediction(
     model: TrainedModel, answer: tuple[PredictedFrame, PixelLabels], truth: Batch | None, scores: Scores
 ) -> FramePrediction:
-    (labels, candidates, range_m), pixels = answer
-    panorama = None if range_m is None else model.predictor.panorama
-    figures = {} if truth is None else frame_figures(scores, labels, truth)
-    return FramePrediction(labels, model.grid, candidates, range_m, panorama, pixels, figures=figures)
+    found, pixels = answer
+    panorama = None if found.range_m is None else model.predictor.panorama
+    figures = {} if truth is None else frame_figures(scores, found.labels, truth)
+    return FramePrediction(found.labels, model.grid, found.candidates, found.range_m, panorama, pixels, figures=figures)

@@ -44,7 +44,7 @@ class ImageSequence:
     def raise_origin(self, height_m: float) -> "ImageSequence":
         """Return the same sequence with its ego origin `height_m` higher."""
         world_from_ego = None if self.world_from_ego is None else raise_poses(self.world_from_ego, height_m)
-        rig = raise_rig(self.rig, height_m)
+        rig = self.rig.raised(height_m)
         return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property
@@ -160,14 +160,6 @@ def with_road(rig: Rig, road_z_m: float | None) -> Rig:
         return rig if road_z_m is None else replace(rig, road_z_m=road_z_m)
     except (ValueError, TypeError) as error:
         raise UserError(f"road_z_m={road_z_m}: it must be a height below 0, m, such as -0.9") from error
-
-
-def raise_rig(rig: Rig, height_m: float) -> Rig:
-    """Return a rig with its ego origin `height_m` higher."""
-    poses = rig.ego_from_camera.clone()
-    poses[:, 2, 3] -= height_m
-    road_z_m = None if rig.road_z_m is None else rig.road_z_m - height_m
-    return replace(rig, ego_from_camera=poses, road_z_m=road_z_m)
 
 
 def raise_poses(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:

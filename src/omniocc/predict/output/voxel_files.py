@@ -30,6 +30,8 @@ def voxel_arrays(
 ) -> dict[str, np.ndarray]:
     """Return by name all arrays that another program needs to place and name the voxels, the pose if it is known.
 
+    `probability[0]` is that of an occupied cell; `probability[1]` that an occupied cell has its most likely class.
+
     Cell (i, j, k) spans `low + (high - low) * ((i, j, k) + (0 .. 1)) / shape` along the three `axes`.
     """
     axes = ("r_m", "theta_rad", "z_m") if isinstance(geometry, Cylinder) else ("x_m", "y_m", "z_m")
@@ -37,6 +39,8 @@ def voxel_arrays(
     arrays = {
         "labels": prediction.labels.numpy(),
         "candidates": prediction.candidates.numpy(),
+        "probability": prediction.probability.numpy(),
+        "seen": prediction.seen.numpy(),
         "kind": np.array(type(geometry).__name__.lower()),
         "axes": np.array(axes),
         "shape": np.array(geometry.shape),
