@@ -17,7 +17,8 @@ from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder
 from omniocc.progress import clock
 from omniworld.class_fractions import fraction_table
-from omniworld.source import ScenePlan, VirtualWorld
+from omniworld.plans import ScenePlan
+from omniworld.source import VirtualWorld
 
 DECODED_FRAMES = 400
 OTHER_BYTES = 45_000

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -41,6 +42,14 @@ RANDOM = "random"
 VERSION = 1
 """Raised when the code draws other rigs, so that scenes are rendered anew."""
 
+Origin = float | Literal["drawn"] | None
+"""Height of the ego origin above the road, m, of every scene; `drawn`: another one in each; None: that of the rig."""
+DRAWN = "drawn"
+HIGHEST_M = 10.0
+"""Greatest height of the ego origin above the road."""
+GRID_M = 2.2
+"""Height above the road of the origin of most voxel grids."""
+
 Place = tuple[tuple[float, float, float], float, float, float]
 """Position (m), yaw, pitch and roll (degrees) of a camera, see `pose_from_angles`."""
 Draw = np.random.Generator
@@ -62,6 +71,21 @@ def draw_rig(rng: Draw, pixels: int) -> Rig:
     if len(places) > 2 and rng.uniform() < MISSING:
         places.pop(int(rng.integers(len(places))))
     return rig_at(rng, places, str(rng.choice((*LENSES, "pinhole"), p=_LENS_P)), pixels, -height_m)
+
+
+def check_origin(above_m: Origin) -> Origin:
+    """Return the height of an origin as a number, `drawn` or None; raise ValueError if it is none."""
+    if above_m is None or above_m == DRAWN:
+        return above_m
+    if not 0 < float(above_m) <= HIGHEST_M:
+        raise ValueError(f"origin_above_road_m is {above_m}; it must be above 0 and at most {HIGHEST_M:g}, or {DRAWN}")
+    return float(above_m)
+
+
+def draw_origin(rng: Draw, rig_m: float) -> float:
+    """Return a height above the road, m: a third each at `rig_m`, between, and at the height of most voxel grids."""
+    share = min(max(float(rng.uniform(-1, 2)), 0.0), 1.0)
+    return rig_m + share * (GRID_M - rig_m)
 
 
 _LENS_P = (*(0.95 / len(LENSES),) * len(LENSES), 0.05)

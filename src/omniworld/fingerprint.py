@@ -14,6 +14,7 @@ BESIDE = (
     "command.py",
     "mask.py",
     "page.py",
+    "plans.py",
 )
 """Code beside the world's, which decides no content of a frame."""
 EQUAL = {"63b8cb4388612acf": "4f35f93cc9fc00f7", "f1349faa8fd401f0": "9db84f4b5b033d9b"}

@@ -5,7 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Any, Literal, get_args
 
 from omniocc import seeding
 from omniocc.bounds import Count, Number, Seconds, Size
@@ -18,13 +18,13 @@ from omniocc.data.store.meta import ORIGIN, RENDERED_REACH_M, SOFTWARE, append_f
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, SceneWriter, digest
 from omniocc.errors import DataError
-from omniocc.frame import Frame
 from omniocc.geometry import Grid
 from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
-from omniworld.drawn import RANDOM, VERSION, draw_rig, perturb_rig
+from omniworld.drawn import DRAWN, RANDOM, VERSION, Origin, check_origin, draw_origin, draw_rig, perturb_rig
 from omniworld.fingerprint import variations_code, world_code
+from omniworld.plans import Recordable, ScenePlan
 from omniworld.render.own_car import mask_ego_car, road_of
 from omniworld.render.weather import WEATHERS, Weather, draw_weather
 from omniworld.scene import LabelMode, Scene
@@ -37,27 +37,6 @@ PANORAMA = ("erp_size", "erp_top_deg", "erp_bottom_deg")
 SETTINGS = ("frame_interval_s", "supersample", *PANORAMA, "weather", "label_mode", "lidars", "capture")
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
-DRAWN = "drawn"
-HIGHEST_M = 10.0
-"""Greatest height of the ego origin above the road."""
-
-
-class ScenePlan(NamedTuple):
-    """A scene that is to be rendered: its name, split, kind of place, and the seed of everything random in it."""
-
-    name: str
-    split: Split
-    theme: str
-    seed: int
-
-
-@runtime_checkable
-class Recordable(Protocol):
-    """A scene that can be recorded frame by frame, such as `omniworld.Scene`."""
-
-    def frame(self, index: int) -> Frame:
-        """Return the frame with this number; it depends on nothing but the scene and the number."""
-        ...
 
 
 class VirtualWorld:
@@ -123,7 +102,7 @@ class VirtualWorld:
         repainted_fraction: float = 0.0,
         test_places: Sequence[str] = (),
         late_camera_ms: float = 0.0,
-        origin_above_road_m: float | Literal["drawn"] | None = None,
+        origin_above_road_m: Origin = None,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -152,14 +131,7 @@ class VirtualWorld:
         if not 0 <= late_camera_ms <= late.LONGEST_MS:
             raise ValueError(f"late_camera_ms is {late_camera_ms}; it must be from 0 to {late.LONGEST_MS:g}")
         self.late_camera_ms = float(late_camera_ms)
-        if origin_above_road_m not in (None, DRAWN):
-            origin_above_road_m = float(origin_above_road_m)
-            if not 0 < origin_above_road_m <= HIGHEST_M:
-                raise ValueError(
-                    f"origin_above_road_m is {origin_above_road_m:g}; it must be above 0 and at most {HIGHEST_M:g}, or "
-                    f"{DRAWN}"
-                )
-        self.origin_above_road_m = origin_above_road_m
+        self.origin_above_road_m = check_origin(origin_above_road_m)
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
@@ -250,9 +222,7 @@ class VirtualWorld:
             return rig
         road_m = road_of(rig)
         if isinstance(origin_m, str):
-            # a third of the scenes each at the rig's height, between, and at the height of most voxel grids
-            share = seeding.generator(plan.theme, plan.seed, "origin").uniform(-1, 2)
-            origin_m = -road_m + min(max(share, 0.0), 1.0) * (road_m - EGO_ROAD_M)
+            origin_m = draw_origin(seeding.generator(plan.theme, plan.seed, "origin"), -road_m)
         return replace(rig, road_z_m=road_m).raised(road_m + origin_m)
 
     def calibration_of(self, plan: ScenePlan) -> Rig:

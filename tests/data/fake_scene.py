@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from omniocc.frame import Box, Frame
-from omniworld.source import ScenePlan, VirtualWorld
+from omniworld.plans import ScenePlan
+from omniworld.source import VirtualWorld
 
 CAMERAS, WIDTH, HEIGHT = 6, 32, 18
 RAYS = 14040

@@ -19,8 +19,8 @@ WITHIN = 0.25
 """Spheres around a flat road whose ranges are drawn onto it, where nothing else is chosen."""
 
 NO_ROAD = (
-    "its height is not known: write road_z_m into the rig file or give it here, such as road_z_m=-0.9 where the road is "
-    "0.9 m below the rig's origin. Without it 44 instead of 80 % of any-rig's ranges on a flat cloth were within 10 %"
+    "its height is not known: write road_z_m into the rig file or give it here, such as road_z_m=-0.9 where the road "
+    "is 0.9 m below the rig's origin. Without it 44, not 80 % of any-rig's ranges on a flat cloth were within 10 %"
 )
 """What a user is told about a rig that does not state the height of the road, and a network that is told it."""
 

@@ -8,7 +8,7 @@ import pytest
 from omniocc.camera import Rig
 from omniocc.report.datasets import own_row
 from omniworld.page import frame_at, pinhole_twin, speed_mps, time_of_day
-from omniworld.source import ScenePlan
+from omniworld.plans import ScenePlan
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
