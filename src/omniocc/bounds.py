@@ -20,12 +20,12 @@ class Within:
         open_high: whether `high` itself is left out.
     """
 
-    low: float
-    high: float
+    low: int | float
+    high: int | float
     open_low: bool = False
     open_high: bool = False
 
-    def holds(self, value: float) -> bool:
+    def holds(self, value: int | float) -> bool:
         """Return whether a number is in the range."""
         above = self.low < value if self.open_low else self.low <= value
         return above and (value < self.high if self.open_high else value <= self.high)
@@ -37,6 +37,8 @@ class Within:
         return f"{low} and {'below' if self.open_high else 'at most'} {self.high:,}"
 
 
+Real = float | int
+"""A number; a configuration may state it without a point."""
 Size = Annotated[int, Within(1, 65_536)]
 """Channels of a network, classes, pixels, bins."""
 SizeOrNone = Annotated[int, Within(0, 65_536)]
@@ -51,20 +53,20 @@ NumberOrNone = Annotated[int, Within(0, 10**9)]
 """The same where 0 means none."""
 Limit = Annotated[int, Within(-1, 10**9)]
 """Steps or epochs after which something ends; -1: it does not."""
-Weight = Annotated[float, Within(0, 10**6)]
+Weight = Annotated[Real, Within(0, 10**6)]
 """Factors of losses and learning rates, and limits of a norm; 0 leaves out what they multiply."""
-Fraction = Annotated[float, Within(0, 1)]
-Kept = Annotated[float, Within(0, 1, open_high=True)]
+Fraction = Annotated[Real, Within(0, 1)]
+Kept = Annotated[Real, Within(0, 1, open_high=True)]
 """Fractions of a running mean that are kept in each step; at 1 it would never change."""
-Rate = Annotated[float, Within(0, 100, open_low=True)]
+Rate = Annotated[Real, Within(0, 100, open_low=True)]
 """Learning rates."""
-Degrees = Annotated[float, Within(0, 180)]
+Degrees = Annotated[Real, Within(0, 180)]
 """Turns to either side."""
-Batches = Annotated[int, Within(1, 10**9)] | Annotated[float, Within(0, 1, open_low=True)]
+Batches = Annotated[int, Within(1, 10**9)] | Annotated[Real, Within(0, 1, open_low=True)]
 """How much is read of a split: batches, or a fraction of them."""
-Metres = Annotated[float, Within(0, 1000)]
+Metres = Annotated[Real, Within(0, 1000)]
 """Distances on a grid, m."""
-Seconds = Annotated[float, Within(0, 3600, open_low=True)]
+Seconds = Annotated[Real, Within(0, 3600, open_low=True)]
 """Times between frames, s."""
 
 
@@ -106,6 +108,8 @@ def described(hint: Any) -> str:
         return " ".join([described(arguments[0]), *map(str, arguments[1:])])
     if origin is Literal:
         return "one of " + ", ".join(map(repr, arguments))
+    if hint == Real:
+        return described(float)
     if origin in (Union, types.UnionType):
         return " or ".join(map(described, arguments))
     if origin in (list, Sequence, dict, Mapping) and get_origin(arguments[-1]) is Annotated:

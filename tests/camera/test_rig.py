@@ -306,4 +306,4 @@ def test_the_page_has_an_example_of_every_lens_model_and_of_a_matrix(tmp_path):
     assert {name: type(camera) for name, camera in zip(rig.names, rig.cameras, strict=True)} == MODELS
     assert lenses_that_do_not_fit(rig) == ()
     matrix = yaml.safe_load(next(block for block in blocks if block.startswith("ego_from_camera")))["ego_from_camera"]
-    assert torch.equal(torch.tensor(matrix, dtype=torch.float64), pose_from_angles((0.9, 0, 0), 0, 0, 0))
+    assert torch.equal(torch.tensor(matrix, dtype=torch.float64), pose_from_angles((0.9, 0.0, 0.0), 0.0, 0.0, 0.0))

@@ -18,7 +18,10 @@ WALL_M = 6.0
 def ring(count: int, width: int = 96, yaws: tuple[float, ...] = ()) -> Rig:
     """Return a ring of fisheyes of 180 degrees, 1 m around the origin."""
     yaws = yaws or tuple(360 / count * k for k in range(count))
-    poses = [pose_from_angles((np.cos(np.radians(yaw)), np.sin(np.radians(yaw)), 0), yaw, -10, 0) for yaw in yaws]
+    poses = [
+        pose_from_angles((np.cos(np.radians(yaw)), np.sin(np.radians(yaw)), 0.0), float(yaw), -10.0, 0.0)
+        for yaw in yaws
+    ]
     camera = Equidistant(width, width * 3 // 4, width / np.pi, (width / 2 - 0.5, width * 3 / 8 - 0.5), 90.0)
     return Rig((camera,) * len(yaws), torch.stack(poses), tuple(f"c{k}" for k in range(len(yaws))))
 
