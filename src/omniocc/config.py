@@ -153,7 +153,10 @@ OF_TRAINER: dict[str, Any] = {
     "num_nodes": Count,
     **dict.fromkeys(("limit_train_batches", "limit_val_batches", "limit_test_batches"), Batches | None),
 }
-"""Values of Lightning's trainer with which a run ends well: parts of ours stay in 32 bits, every split is read."""
+"""Types of arguments of Lightning's trainer with which a run ends well.
+
+Precision is 32 bits or mixed, because parts of ours stay in 32 bits. Limits of batches are above 0, because every split
+is read."""
 
 
 def check_root(cfg: DictConfig) -> None:

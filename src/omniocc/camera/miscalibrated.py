@@ -12,7 +12,7 @@ from omniocc.camera.protocol import Camera
 from omniocc.camera.rig import Rig
 
 STEPS = 10_000
-"""Factors on a focal length are rounded to a whole number of this part of one."""
+"""Factors on a focal length are rounded to multiples of 1 / STEPS."""
 
 
 def turned(rig: Rig, axes: Float64[Tensor, "N 3"], angle_deg: float) -> Rig:

@@ -82,7 +82,7 @@ class Rig:
         ego_from_camera: rigid poses, camera frame (x right, y down, z forward) to ego frame.
         names: unique, in the order of the cameras.
         masks: for each camera None or (height, width), true where the image is usable; None if no camera has one.
-        road_z_m: height of the road below the ego origin, in the ego frame; None if it is not known.
+        road_z_m: z of the road in the ego frame, m, negative as it is below the origin; None if it is not known.
     """
 
     cameras: tuple[Camera, ...]

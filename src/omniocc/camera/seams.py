@@ -24,7 +24,7 @@ SIZE_PX = (192, 144)
 BLOCK_PX = 8
 """Edge of the square blocks of directions that are compared."""
 NOISE = 0.01
-"""Standard deviation of a block's values, in [0, 1], below which it counts as without texture."""
+"""Standard deviation of a block's values, in [0, 1], at which its correlation with itself is 0.5; below, it is less."""
 LEAST_BLOCKS = 10
 """Fewest blocks that two cameras both see, for which their images are compared."""
 MOST_CAMERAS = 8
@@ -107,7 +107,7 @@ def _blocks(
 ) -> tuple[Float32[Tensor, "N S B K"], Bool[Tensor, "S B"]]:
     """Return the blocks that one camera sees if it has each image, with mean 0 and length 1, and which it sees whole.
 
-    S are the ranges, B the blocks, K the values of a block.
+    S are the ranges, B the blocks, K the values of a block. Blocks with little texture are shorter, see `NOISE`.
     """
     places, seen = rig.project_into(camera, points)
     grid = normalize_pixels(places, rig.cameras[camera].width, rig.cameras[camera].height)

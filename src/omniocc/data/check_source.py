@@ -27,7 +27,7 @@ from rayiou.labels import ids_beyond
 MAX_SPEED_MPS, MAX_TURN_DEG_PER_S = 70.0, 360.0
 """Beyond these the poses of a recorded log are wrong, or in another unit."""
 DIRECTIONS, STEP_M = 16, 1e-3
-"""Rays from the ego origin begin in the cells that lie around it: in as many directions, this far."""
+"""Number of directions and distance (m) from the ego origin at which the cells are looked up where rays begin."""
 LEAST_NEAR = 1e-3
 """Fraction of the points of a scan, at least, that lies within the reach of the scores."""
 FAR_M = 256.0

@@ -29,7 +29,7 @@ class OCam:
         height: of the image, px.
         center_px: (cx, cy); calibration files give the row first.
         polynomial: f, ascending powers of rho in px; the first is negative.
-        inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to invert f.
+        inverse_polynomial: rho in px, ascending powers of (angle from the optical axis - pi / 2), rad; () to invert f.
         affine: (c, d, e): row = c * y + d * x + cy, column = e * y + x + cx, for x right and y down.
         max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the polynomials alone set it.
     """

@@ -22,7 +22,8 @@ HEIGHT_STEP = 8
 LARGEST_WHOLE = 2.0**53
 """From here on float64 holds no fractions, and does not tell neighbouring whole numbers apart."""
 
-# Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
+# Paths are built from tables and opened as they are, as a folder may hold a million files. Only `check_root` lists one,
+# for its message.
 
 
 def read_text(path: Path, remedy: str = "") -> str:
