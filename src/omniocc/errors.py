@@ -42,7 +42,7 @@ ANY_FOLDER = "paths.data=... or paths.runs=..."
 
 @contextmanager
 def moved_by(key: str) -> Iterator[None]:
-    """Name the key that moves the folder to which this block writes in errors about it; the innermost block counts."""
+    """In errors about the folder to which this block writes, name the key that moves it; the innermost block counts."""
     try:
         yield
     except DataError as error:
@@ -67,7 +67,7 @@ def in_line(text: str) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what is wrong with content: the text of a ValueError, of other errors their type too, in one line."""
+    """Return what is wrong with content, in one line: the text of a ValueError or OSError, of others their type too."""
     return (
         first_line(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {first_line(error)}"
     )

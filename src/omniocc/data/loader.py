@@ -1,4 +1,4 @@
-"""Loaders whose processes never leave the training waiting: what they cannot hand on is sent otherwise, or an error."""
+"""Loaders that never leave the training waiting: a batch comes by shared memory, else a pipe, or there is an error."""
 
 import os
 import pickle
@@ -60,7 +60,7 @@ class Loader(DataLoader):
             return super().__iter__()
         context: Any = self.multiprocessing_context
         start_fork_server()
-        try:  # what the loader makes, since it cannot clean up when it fails half-way
+        try:  # on trial what the loader will make, since it cannot clean up when it fails half-way
             _ = [context.Event(), *(context.Queue() for _ in range(self.num_workers + 1))]
             return self._read(super().__iter__())
         except OSError as error:  # of the semaphores, which lie in /dev/shm as well

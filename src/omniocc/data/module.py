@@ -120,7 +120,8 @@ class OccupancyData(LightningDataModule):
         batch_size: samples per process and step.
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
-        ignore: cells that are unknown: `none` (the paper) or `unobserved` (255 unless a sensor saw through).
+        ignore: cells that are unknown (255): `none` (the paper), `unobserved` (those without points that no ray of a
+            sensor crossed) or `unseen` (those that no camera sees, if the dataset has a mask of these).
         samples_per_scene: training frames of a scene that follow one another; where every scene has a rig of its own,
             two or more save time.
         range_edges_m: ends of the distance bands of scores; LiDAR hits at the last of them or beyond count as free.
@@ -129,7 +130,6 @@ class OccupancyData(LightningDataModule):
 
     Raises:
         ValueError: if a number is too small.
-        UserError: if the bands are fewer than one or do not increase.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class OccupancyData(LightningDataModule):
     def remarks(self) -> Iterator[str]:
         """Yield a line where scores end before the grid does, labels are lost or a real LiDAR leaves cells unseen.
 
-        The data is prepared.
+        `prepare_data` has been called.
 
         Raises:
             DataError: naming a damaged file of the first training frame.

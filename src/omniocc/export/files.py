@@ -117,7 +117,7 @@ def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) 
 
 @contextmanager
 def without_notices() -> Iterator[None]:
-    """Silence what the exporting libraries print below an error, such as a line for every empty list of attributes."""
+    """Silence what the exporting libraries log below the level ERROR, such as a line for every empty attribute list."""
     loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
     levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():

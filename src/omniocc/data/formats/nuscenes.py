@@ -67,7 +67,7 @@ class KeyFrames(NamedTuple):
 
     Attributes:
         tokens: of the samples.
-        time_us: when the LiDAR stood at its middle, microseconds.
+        time_us: time stamp of the LiDAR's sample_data, microseconds.
         world_from_ego: pose of the car at that time; ego: x forward, y left, z up, on the ground amid the rear axle.
         ego_from_lidar: of the LiDAR (x right, y forward, z up).
         lidar: file of its points.
@@ -178,8 +178,8 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
         keep: names of scenes; None: all.
 
     Raises:
-        DataError: naming the table and the record that is missing or wrong.
-        UserError: when no file of a submission can be called by the token of a sample.
+        DataError: naming the table and the record that is missing or wrong, or the name of a scene or token of a
+            sample by which no file can be called.
     """
     names = ("sample", "calibrated_sensor", "sample_data", "ego_pose")
     files = [tables / f"{name}.json" for name in names]

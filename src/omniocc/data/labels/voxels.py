@@ -35,7 +35,7 @@ Reach = tuple[float, float, float]
 """Distances from the ego origin along x, y and z, m."""
 MEMBER = "voxels.zst"
 VOTED: tuple[Ignore, ...] = ("none", "unobserved")
-"""The labels that cells without points can have."""
+"""Values of `ignore` that are possible where points vote."""
 OBSERVED_VERSION = 2
 """Raise it when the same recording would give another mask."""
 

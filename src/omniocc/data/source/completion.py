@@ -42,7 +42,7 @@ class Numbering(NamedTuple):
 
     Attributes:
         training_ids: whether classes are those of training, 1 car to 19 traffic-sign, in place of the ids of the files.
-        cells_up: cells by which those of the labels lie higher than those of the submission.
+        cells_up: by how many cells the labels lie higher in their files than predictions in those of the submission.
     """
 
     training_ids: bool = False
@@ -149,8 +149,8 @@ class CompletionScene(OwnGridScene):
 def numbering_of(files: Sequence[tuple[CompletionScene, int, Path]]) -> Numbering:
     """Return how files of a submission, scene, frame and path of each, number classes and cells.
 
-    The evaluation of SemanticKITTI takes the ids of the dataset's files (evaluate_completion.py); projects keep the
-    numbers of training beside them, most of which are no such ids. Of the cells of today's release and of the first
+    The evaluation of SemanticKITTI takes the ids of the dataset's files (evaluate_completion.py). A submission may hold
+    the numbers of training instead, most of which are no such ids. Of the cells of today's release and of the first
     one, one cell higher, those are taken whose occupied cells agree better with the labels. What is not decided by the
     values is read as the evaluation does.
 

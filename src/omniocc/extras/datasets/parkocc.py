@@ -66,7 +66,7 @@ class ParkOcc(OwnGridSource["ParkOccScene"]):
     Args:
         root: folder with `calib`, `sequences` and, for ranges, `velodyne`: the dataset's `data_train`.
         sequences: folders of the scenes of train, val and test. One scene is public, so there is no split: where a
-            scene is in several of them, a warning says what the scores are worth.
+            scene of train is in val or test too, a warning says what the scores are worth.
         image_width: see `OwnGridSource`.
         panorama: see `OwnGridSource`.
         road_z_m: height of the road in the frame of the LiDAR, m.
@@ -220,8 +220,8 @@ def dense_voxels(path: Path) -> UInt8[np.ndarray, "200 200 32"]:
 def read_camera(folder: Path, name: str) -> tuple[OCam, Float64[np.ndarray, "4 4"]]:
     """Return a fisheye at the size of its files, and its pose lidar_from_camera.
 
-    The files hold the LiDAR's points in axes of the camera that are x forward, y left, z up (`image_utils.py` turns
-    them into OCamCalib's).
+    The matrix in the file takes points from the LiDAR to axes of the camera that are x forward, y left, z up
+    (`image_utils.py` turns them into OCamCalib's).
 
     Raises:
         DataError: naming the file and what is wrong.
