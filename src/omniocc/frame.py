@@ -1,4 +1,4 @@
-"""One recorded frame of the virtual world."""
+"""One recorded frame of the virtual world or of CARLA."""
 
 from dataclasses import dataclass
 

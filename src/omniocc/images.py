@@ -255,7 +255,11 @@ def _tiff(content: bytes) -> tuple[bytes, Header]:
 
 
 def _stated_white(content: bytes, header: Header, pixels: np.ndarray) -> int | None:
-    """Return the value of white that a file states for its samples; None if it does not, or they are of 8 bits."""
+    """Return the value of white that a file states for its samples; None if it states none.
+
+    None is also the answer for white of 255 or 65535 in a header of PPM, for samples that OpenCV has scaled, and for
+    other files of 8 bits.
+    """
     if match := PPM_HEADER.match(content):
         white = int(match[3])
         scaled = content[:2] in (b"P2", b"P3") and white < 256  # by OpenCV

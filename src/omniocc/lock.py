@@ -29,8 +29,8 @@ class Held(Exception):  # noqa: N818
 def acquire(path: Path, wait: bool = False) -> FileLock:
     """Lock a file, which is made with its folder, and return the lock; the system releases it when the process ends.
 
-    A file system without `flock` is told by an error, or the mere existence of the file locks. Then a process that
-    was killed on another machine leaves the file behind.
+    On a file system without `flock` this raises DataError or, by filelock's version, the file is the lock as long as
+    it exists. Then a process that was killed on another machine leaves the file behind.
 
     Raises:
         Held: when another process holds the lock and `wait` is False.

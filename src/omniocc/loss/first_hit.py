@@ -110,7 +110,7 @@ def missed_overlap(hits: FirstHits) -> Float32[Tensor, ""]:
 
 
 class FirstHit(nn.Module):
-    """Add what is unlikely and what RayIoU misses of the first hits of rays; 0 if no ray has a true hit.
+    """Add `unlikely` and `missed_overlap` of the first hits of rays, by weight; 0 if no ray has a true hit.
 
     Args:
         geometry: grid of the voxels.

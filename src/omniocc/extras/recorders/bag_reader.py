@@ -28,7 +28,7 @@ from omniocc.io import check_regular, read_yaml
 MOST_BYTES = 1 << 29
 """Most bytes of a message or chunk after decompression; the largest images have half of it."""
 MOST_TIMES = 1000
-"""How many times its size a compressed file above `MOST_BYTES` may have after decompression; images reach a tenth."""
+"""A compressed file may become this many times as large, or `MOST_BYTES` if that is more; images reach a tenth."""
 PART_BYTES = 1 << 20
 SQLITE = b"SQLite format 3\0"
 IN_URLS = "?#%"
@@ -103,7 +103,7 @@ class BagReader:
     def messages(
         self, connections: list[Connection], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[tuple[int, Any]]:
-        """Yield the time of receipt, ns, and the content of messages whose type is one of ROS."""
+        """Yield the time of receipt, ns, and the content of messages; raise TypeError if a type is none of ROS."""
         types = {connection.msgtype: _store_of(connection, self.is_ros1) for connection in connections}
         for connection, received_ns, content in self.reader.messages(connections, start_ns, stop_ns):
             if not isinstance(content, bytes) or not isinstance(received_ns, int):
@@ -114,7 +114,7 @@ class BagReader:
 
 
 def _check_file(path: Path) -> None:
-    """Raise DataError if a file is none, or a database that computes what it says."""
+    """Raise DataError if a path is not of a regular file, or is of a database with views or computed columns."""
     check_regular(path)
     with path.open("rb") as file:
         if file.read(len(SQLITE)) != SQLITE:
@@ -160,7 +160,7 @@ def _readable(folder: Path) -> Iterator[Path]:
 
 
 def _unpack(source: Path, target: Path) -> None:
-    """Decompress a file; raise DataError if it grows as none does that holds images."""
+    """Decompress a file; raise DataError if it grows above both `MOST_BYTES` and `MOST_TIMES` its size."""
     most = max(MOST_BYTES, MOST_TIMES * source.stat().st_size)
     with zstd.open(source, "rb") as packed, target.open("xb") as file:
         while part := packed.read(PART_BYTES):
@@ -171,7 +171,7 @@ def _unpack(source: Path, target: Path) -> None:
 
 @functools.cache
 def _stores(is_ros1: bool) -> tuple[Any, ...]:
-    """Return the types of ROS; of ROS 2 those of all its versions, and those that rosbags-convert copies from ROS 1."""
+    """Return the types of ROS; of ROS 2 those of its latest version, and those rosbags-convert copies from ROS 1."""
     first = get_typestore(Stores.ROS1_NOETIC)
     transforms = [get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", name) for name in TF_TYPES]
     first.register({name: fields for types in transforms for name, fields in types.items()})

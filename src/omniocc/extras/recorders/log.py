@@ -28,7 +28,7 @@ class Scans:
         times_s: (S,) increasing.
         read: returns the points of a scan by its number, ego frame.
         name: returns the file or message of a scan by its number, for messages.
-        classes: of the points; two if they have none.
+        classes: of the points; free and occupied if they have none.
     """
 
     times_s: Float64[np.ndarray, " S"]

@@ -87,7 +87,7 @@ class ExpertBlock(nn.Module):
 
 
 def gradient_energy(volume: Float[Tensor, "B C X Y Z"], periodic: Periodic) -> Float[Tensor, "B 3 X Y Z"]:
-    """Return log(1 + mean over channels of the squared central difference) along each axis; zeros beyond the ends."""
+    """Return log(1 + mean over channels of the squared central difference) along each axis; zeros beyond open ends."""
     energies = []
     for axis in range(3):
         size = volume.shape[2 + axis]

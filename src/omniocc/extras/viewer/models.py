@@ -87,7 +87,7 @@ class TrainedModel:
 def mask_labels(
     labels: UInt8[np.ndarray, "h w"], mask: Bool[Tensor, "H W"] | None, stride: int
 ) -> UInt8[np.ndarray, "h w"]:
-    """Return labels of pixels of a stride, unknown where the image's mask is false in the middle of such a pixel."""
+    """Return labels, each of `stride` x `stride` pixels; unknown where the image's mask is false in their middle."""
     if mask is None:
         return labels
     rows, columns = (

@@ -113,7 +113,7 @@ class DeformableConv2d(nn.Module):
 
 
 class ResNet(nn.Module):
-    """Extract features by a residual network of transformers and a feature pyramid.
+    """Extract features by the ResNet of the package transformers and a feature pyramid.
 
     Args:
         layer_type: blocks of two 3x3 convolutions (`basic`), or of a 3x3 convolution between two 1x1 (`bottleneck`).

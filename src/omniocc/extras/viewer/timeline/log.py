@@ -58,7 +58,7 @@ CANDIDATE_RGB, CAMERA_RGB, PATH_RGB = (120, 130, 150), (90, 90, 90), (0, 114, 17
 EVERYWHERE = (CAMERAS, TRAJECTORY)
 """What is drawn in every view of the space around the car."""
 EYE_M, TARGET_M = (-28.0, 0.0, 22.0), (0.5, 0.0, -3.0)
-"""Where the eye begins, and what it looks at, m, ego frame: as in the sheets."""
+"""Where the eye begins, and what it looks at, m, ego frame: as in `omniocc.draw.voxels`."""
 MODEL_PARTS = {
     "prediction": VOXELS,
     "differences": DIFFERENCES,

@@ -18,7 +18,7 @@ CONFIG = "config.yaml"
 
 
 def modified_s(path: Path) -> float:
-    """Return the time of day at which a file or folder last changed, s; 0 if there is none."""
+    """Return the time at which a file or folder last changed, s since 1970; 0 if there is none."""
     try:
         return path.stat().st_mtime
     except OSError:

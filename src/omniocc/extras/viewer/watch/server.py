@@ -106,7 +106,7 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers one request."""
+    """Answers the requests of one connection."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -240,7 +240,7 @@ def run_states(runs: Path) -> list[RunState]:
 
 
 def run_state(name: str, folder: Path, now_s: float, held: Collection[Identity]) -> RunState:
-    """Return what one run is doing at a time of day, given the files that are locked."""
+    """Return what one run is doing at a time, s since 1970, given the files that are locked."""
     stage, changed_s = stage_of(name), max(0.0, now_s - changed_at_s(folder))
     try:
         (curves, damage), (config, other_damage) = curves_of(folder), config_of(folder)
@@ -283,7 +283,7 @@ def stage_of(name: str) -> str:
 
 
 def changed_at_s(folder: Path) -> float:
-    """Return the time of day at which the files of a run last changed, s."""
+    """Return the time at which the files of a run last changed, s since 1970."""
     paths = [*curve_files(folder), *folder.glob("*.ckpt"), folder / METRICS, folder / IMAGES]
     return max(map(modified_s, paths))
 
