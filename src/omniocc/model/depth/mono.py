@@ -57,10 +57,10 @@ def draw_front(
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Return the distance from the origin to the nearest surface in each pixel, and its mean value; inf and 0 if none.
 
-    The nearest point selects the surface. The distance is the mean over the points of that surface around the middle of
-    the pixel, by bilinear weights: the nearest point itself would be too near on slanted surfaces such as the ground,
-    the more so the more cameras see it. Points up to `depth_ratio` times as far as the nearest are of its surface; inf
-    takes all. Points are in the ego frame; those that are not in `drawn` do not count.
+    The nearest point selects the surface. The distance is the harmonic mean over the points of that surface around the
+    middle of the pixel, by bilinear weights: the nearest point itself would be too near on slanted surfaces such as the
+    ground, the more so the more cameras see it. Points up to `depth_ratio` times as far as the nearest are of its
+    surface; inf takes all. Points are in the ego frame; those that are not in `drawn` do not count.
     """
     pixels, inside = panorama.project(points_m)
     size = panorama.height * panorama.width

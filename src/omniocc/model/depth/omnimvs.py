@@ -29,12 +29,12 @@ from omniocc.model.ops.padding import upsample_view
 from omniocc.model.ops.rig_cache import once_per_rig
 
 HINTS = 5
-"""Number of maps."""
+"""Number of maps that `rig_hints` returns."""
 PROBES_M = (3.0, 12.0)
 """Ranges at which the parallax is computed."""
 MANY_CAMERAS = 4
 FAR_BELOW_M = 0.05
-"""Least height of the road below the origin that gives it a sphere."""
+"""Lower limit of the range of the road in `rig_hints`, m."""
 CONTEXT_SPHERES = (0.06, 0.25)
 """Spheres on which the features of both views are passed on, as fractions of the index of the nearest sphere."""
 

@@ -110,7 +110,8 @@ def correlation(swept: Float[Tensor, "M N h w"], seen: Bool[Tensor, "M N h w"], 
 def peak(score: Float[Tensor, "B D h w"]) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Return the index of the best sphere, with a fraction from a parabola, and its lead over others, in [0, 1].
 
-    The confidence is the best score less the best one that is at least three spheres away.
+    The confidence is the best score less the best one that is at least three spheres away, which counts as 0 if it is
+    negative.
     """
     best, place = score.max(1, keepdim=True)
     last = score.shape[1] - 1

@@ -37,7 +37,8 @@ class SketchAndPixels(nn.Module):
         stride: of the finest feature map, where the 2D head classifies, px.
         channels: of the volume.
         num_classes: of voxels and pixels; 0 is free or sky.
-        queries: whether the lifter's queries also start from the evidence; it reads this key as its `evidence`.
+        queries: whether the lifter's queries also start from the evidence; the lifter's config reads this key as
+            `evidence`.
         volume: whether the evidence is added to the volume before the refiner.
         logits: whether the logits start from the sketch's probabilities of being occupied.
         pixel_classes: whether the 2D head's classes at the candidates are added to the volume, and the logits start

@@ -1,4 +1,4 @@
-"""Weights of the Hugging Face hub, if available, the images that they were trained with, and a feature pyramid."""
+"""Weights of the Hugging Face hub, if available, the normalisation of their images, and a feature pyramid."""
 
 import logging
 import os

@@ -30,7 +30,7 @@ def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Te
 
 
 def transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
-    """Return `linear(queries)` transposed: queries run along the last axis, where softmax is many times faster."""
+    """Return `linear(queries)` transposed: queries run along the last axis, which makes softmax over samples fast."""
     return torch.addmm(linear.bias[:, None], linear.weight, queries.T)
 
 

@@ -15,7 +15,7 @@ from omniocc.model.ops.rig_cache import once_per_rig
 Anchors = tuple[tuple[float, float, float], ...]
 CENTRE: Anchors = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
-"""Coordinate of anchors that no camera sees: thousands of image widths away, which offsets of pixels do not bridge."""
+"""Coordinate of an anchor in a camera that does not see it: thousands of image widths away, too far for offsets."""
 
 
 class Pairs(NamedTuple):

@@ -79,7 +79,7 @@ class FeatureNet(nn.Module):
     """Extract features at half or all of the size of the images, by one network for all cameras.
 
     The stem covers 4x4 px around the centre of every 2x2 block, so that features are exactly at their `grid_sample`
-    coordinates, and mirrored images give mirrored features.
+    coordinates, and mirrored images give mirrored features if the kernels are mirrored too.
 
     Args:
         channels: of each level, finest first, the first at half the image size; multiples of 8.

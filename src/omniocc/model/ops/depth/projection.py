@@ -31,7 +31,7 @@ TAPER = 0.08
 """Width of the band at the edge of a camera's field where its weight falls to zero, in image heights: without it the
 mean over cameras would jump where one of them stops seeing."""
 BLOCK_ROWS = 1 << 16
-"""Rows of a block of a sampling matrix, at most."""
+"""Rows of the sampling matrix of a block of spheres, at most, unless a single sphere has more."""
 FAR_M = 1e6
 """Range of the points on the sphere at infinity, whose inverse range is 0."""
 LEAST_PRESENT = 0.05

@@ -143,7 +143,7 @@ class SphereNet(LearnedPanoramaDepth):
     def calibrate(
         self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]
     ) -> None:
-        """Fit the confidence to rays whose truth is known, see `LearnedDepth`."""
+        """Fit the confidence to rays whose truth is known, see `Calibrates`."""
         self.confidence.fit(confidence, range_m, right)
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
