@@ -78,7 +78,9 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
 
 
 def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[Result]:
-    """Yield `work` of every item in order, from several processes; 0 or one item: in this one. `work` is picklable.
+    """Yield `work` of every item in order, from `workers` processes; without workers, or for one item, from this one.
+
+    `work` must be picklable.
 
     Raises:
         DataError: when a process is killed.
@@ -97,7 +99,7 @@ def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) 
 
 
 def process_context(work: Callable[..., Any]) -> Any:
-    """Return the multiprocessing context; with `forkserver` they are copies of one with the imports of `work`."""
+    """Return the context of new processes; with `forkserver` these are copies of one that has the imports of `work`."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")

@@ -72,7 +72,7 @@ class Progress:
 
     Args:
         title: what is being done.
-        total: units to be done in this run.
+        total: units in all, with those done before.
         unit: what is counted, in the plural.
         done: units done before.
         finished: returns the number of units that all processes have done by now, where several share the work.

@@ -42,7 +42,7 @@ class Job:
     Attributes:
         predictor: the model, on its device.
         history: how frames get their past.
-        trained: the data of the training, whose classes and label of cells without points are used.
+        trained: the data of the training, whose `classes` and `ignore` are used.
         options: those of the command.
         scores: against the ground truth; None for a user's own images.
         show: is called with every prediction after its files are written; None shows nothing.

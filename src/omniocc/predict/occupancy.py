@@ -106,7 +106,7 @@ def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[
 
 
 def figures(metrics: Mapping[str, float]) -> str:
-    """Return the first metrics in a line."""
+    """Return the model's row of `summary` in a line."""
     head, (model, *_) = summary(metrics)
     return ", ".join(f"{name} {value}" for name, value in zip(head[1:], model[1:], strict=True))
 

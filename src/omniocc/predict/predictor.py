@@ -74,8 +74,8 @@ def decide(
 ) -> tuple[UInt8[Tensor, "X Y Z"], Float16[Tensor, "2 X Y Z"]]:
     """Return the labels of logits, and the probabilities of `PredictedFrame`.
 
-    A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class but free if
-    it is occupied with a higher probability than this, else it is free.
+    A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class other than
+    free if it is occupied with a higher probability than this, else it is free.
     """
     probability = logits.float().softmax(0)
     most_likely, label = probability[1:].max(0)

@@ -16,7 +16,7 @@ EDGES_M = (8.5, 17.0)
 LIKE_ROAD = 0.25
 """Relative difference up to which a predicted range counts as one of the road."""
 WITHIN = 0.25
-"""Spheres around a flat road whose ranges are drawn onto it, where nothing else is chosen."""
+"""The value of `within` for `pulled_to_road`, in spheres, where nothing else is chosen."""
 
 NO_ROAD = (
     "its height is not known: write road_z_m into the rig file or give it here, such as road_z_m=-0.9 where the road "

@@ -59,7 +59,7 @@ class TrainingData:
         return self.rig.cameras[0].width, self.rig.cameras[0].height
 
     def has(self, rig: Rig) -> bool:
-        """Return whether the cameras are those of the training, at any size; one of both may not state the road."""
+        """Return whether the cameras are those of the training, at any size; the height of the road does not count."""
         try:
             scaled = rig.resized(*self.image_size)
         except ValueError:  # a lens cannot be brought to that size

@@ -95,7 +95,7 @@ def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTab
 
 @cache
 def kinds_of_cameras(rig: str) -> frozenset[bool]:
-    """Return for which of a rig's cameras it is true that they are pinholes; none where the rig is not to be read."""
+    """Return a set: with True if the rig has pinholes, with False if it has others; empty if it cannot be read."""
     try:
         return frozenset(isinstance(camera, Pinhole) for camera in Rig.load(rig).cameras)
     except (ValueError, OSError):  # its file may be on the machine of the run alone

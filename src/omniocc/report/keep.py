@@ -21,9 +21,9 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
 
     Of several runs of one row, seed and setting that of `best_of` is copied. Later tests are those from other origins
     of rays and those under disturbances; tests of weights that have no run are copied and returned too. Runs of an
-    earlier call stay, but for those that a newer run replaces: one of the same row, seed and setting, which is not of
-    changed code while theirs is that of a commit. Where a run has been trained again since, the later tests of its
-    former weights go as well.
+    earlier call stay, but for those that a run of this call replaces, whichever finished later: one of the same row,
+    seed and setting, which is not of changed code while theirs is that of a commit. Where a run has been trained again
+    since, the later tests of its former weights go as well.
 
     Raises:
         UserError: when there is neither a finished run nor such a test.

@@ -170,7 +170,7 @@ def comparable_config(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def given_values(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `compared` without keys that are null.
+    """Return `comparable_config` without keys that are null.
 
     A key that a later commit added and that is null then tells no runs apart.
     """

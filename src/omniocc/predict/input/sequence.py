@@ -70,7 +70,7 @@ class ImageSequence:
 
 @dataclass(frozen=True)
 class RecordedSequence:
-    """A recorded scene, with the attributes and methods of `ImageSequence`.
+    """A recorded scene, with what `ImageSequence` has except `frames` and `raise_origin`.
 
     Attributes:
         scene: reader of its files.

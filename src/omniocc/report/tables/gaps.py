@@ -20,7 +20,7 @@ class Gap(NamedTuple):
 
     Attributes:
         here: the difference; nan if it cannot be measured.
-        error: its standard error; nan as long as no row has two seeds.
+        error: its standard error; nan if there are too few seeds to estimate it.
         freedom: degrees of freedom of the error.
     """
 
