@@ -124,7 +124,7 @@ def summary(sweep: Sweep) -> str:
 
 
 FEW = 3
-"""Most rows that stand before all tables: of a newcomer, who looks for them first."""
+"""With at most so many rows, the list of runs stands before all tables: a newcomer looks for it first."""
 FILES = ("config.yaml", "metrics.json", "table.md")
 
 Section = dict[str, Any]

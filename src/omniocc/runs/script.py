@@ -195,7 +195,7 @@ def quiet_libraries() -> None:
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.ERROR)
     os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # in processes; damaged images have errors of ours
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # for child processes; damaged images have errors of ours
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     warnings.filterwarnings("ignore", module="lightning")
     warnings.filterwarnings("ignore", module="torch.utils.data")

@@ -126,7 +126,7 @@ def titled(text: str) -> str:
 
 def score_of(key: str) -> str | None:
     """Return the kind of score, of `SCORES`, of a figure; None for other figures."""
-    name = key.partition("/")[2].replace("fine/", "")  # of the same rays
+    name = key.partition("/")[2].replace("fine/", "")  # finer thresholds, same rays
     return next((kind for kind in SCORES if name.startswith(kind)), None)
 
 

@@ -166,7 +166,8 @@ ERRORS = 2
 class StopAtSignal(Checkpoint):
     """After SIGUSR2, SIGTERM or Ctrl-C save a checkpoint at the end of the step, and end the script.
 
-    All processes do so at once. A second Ctrl-C ends the process at once; so does the first where several train.
+    Several processes do so together, and only in a job of Slurm. A second Ctrl-C ends the process at once; so does the
+    first where several train.
 
     A validation that follows the step is done first. It is a checkpoint callback, since Lightning calls these after all
     others, so that averages of weights have seen the step.
@@ -229,7 +230,7 @@ class StopAtSignal(Checkpoint):
             os.write(ERRORS, b"\nCtrl-C: a checkpoint is saved after this step; a second Ctrl-C ends at once\n")
 
     def _all_told(self, trainer: Trainer) -> bool:
-        """Return whether a signal has reached any process; outside of Slurm only one process is asked."""
+        """Return whether a signal has reached any process; False where several train outside of Slurm."""
         if trainer.world_size > 1 and "SLURM_JOB_ID" not in os.environ:
             return False
         return trainer.strategy.reduce_boolean_decision(bool(self._told) or trainer.received_sigterm, all=False)

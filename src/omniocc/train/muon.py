@@ -61,7 +61,8 @@ class MuonOptimizer(torch.optim.AdamW):
     def _step_matrix(self, parameter: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
         state = self.state[parameter]
         if not state:
-            state["momentum"], state["step"] = torch.zeros_like(parameter), torch.zeros(())  # AdamW loads no state else
+            # AdamW loads no state without `step`
+            state["momentum"], state["step"] = torch.zeros_like(parameter), torch.zeros(())
         mean = state["momentum"].lerp_(grad, 1 - group["momentum"])
         ahead = grad.lerp(mean, group["momentum"]).flatten(1)
         update = orthogonal(ahead) * (RMS * max(ahead.shape) ** 0.5)

@@ -156,7 +156,7 @@ def _in_thousands(steps: str) -> str:
 
 
 def _times(sweep: Sweep, longer: Sweep) -> str:
-    """Return how many times the steps of a sweep a longer one has, or these where the former are not known."""
+    """Return the steps of a longer sweep as a multiple of those of a sweep; as they are if the latter are no number."""
     fewest, most = sweep.runs[0].setting[1], longer.runs[0].setting[1]
     return f"{int(most) / int(fewest):.3g}x steps" if fewest.isdigit() else _in_thousands(most)
 

@@ -41,7 +41,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
         UserError: when no run belongs to that row.
     """
     groups: dict[str, dict[Any, FinishedRun]] = {}
-    # of equal runs of a seed, that of the reference counts, and of its own that of `preference`
+    # of a seed's runs with equal settings and data one counts: of the reference before others, then by `preference`
     for run in sorted(runs, key=lambda run: (run.row == reference, *preference(run))):
         key = json.dumps([given_values(run.config), run.facts.get("data")], sort_keys=True)
         groups.setdefault(key, {})[run.facts.get("seed")] = run

@@ -163,7 +163,9 @@ def until_lost(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class WandbCurves(WandbLogger):
-    """Lightning's logger for W&B, which does not repeat what an interrupted run has logged, and never ends a run.
+    """Lightning's logger for W&B, which does not repeat what an interrupted run has logged.
+
+    Where W&B fails, the run goes on without it: `until_lost`.
 
     Args:
         recipe: mode, project, group and tags; offline, data stays on the machine until `make wandb-sync`.
