@@ -74,7 +74,7 @@ def draw_rig(rng: Draw, pixels: int) -> Rig:
 
 
 def check_origin(above_m: Origin) -> Origin:
-    """Return the height of an origin as a number, `drawn` or None; raise ValueError if it is none."""
+    """Return the height of an origin as a number, `drawn` or None; raise ValueError for any other value."""
     if above_m is None or above_m == DRAWN:
         return above_m
     if not 0 < float(above_m) <= HIGHEST_M:

@@ -29,7 +29,7 @@ def mask_own_car(rig: str | None, scenes: str | None, car: str | None, grow_px: 
 
     Args:
         rig: name or file of a rig, whose car is a mesh.
-        scenes: instead a folder of recorded scenes, in whose labels the car is never seen.
+        scenes: instead a folder of recorded scenes; pixels that have a label in no frame are taken for the car.
         car: file of the mesh; None: the virtual world's car.
         grow_px: pixels that are masked around the car.
         output: file of the masked rig.

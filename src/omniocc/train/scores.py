@@ -57,7 +57,7 @@ class Scores(nn.Module):
 
     Where the source has a `Benchmark`, predictions are brought to the dataset's own grid first and scored there, from
     the dataset's own origins of rays; `voxel_<part>/...` are its nearer parts. Cells outside of `Batch.scored` count as
-    unknown.
+    unknown; where `Benchmark.masked_rays` is False, only in the scores of cells.
     """
 
     def __init__(self, geometry: Grid, spec: SourceSpec):

@@ -37,7 +37,7 @@ def load_first_weights(
 
 
 def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, Any]) -> str | None:
-    """Load a stage's weights from a checkpoint of any later stage; the depth in a sketch keeps those that it has.
+    """Load a stage's weights from a checkpoint of it or a later stage; the depth in a sketch keeps those that it has.
 
     Weights can fit a network that computes something else from them, because it pairs other cameras, for example.
 
@@ -73,7 +73,7 @@ def check_resumed(path: Path, config: Mapping[str, Any], steps: int | None) -> N
         steps: optimiser steps after which it ends; None: nothing ends it.
 
     Raises:
-        UserError: when the file holds weights alone or another stage, network or optimiser differ, or no step is left.
+        UserError: when the file holds weights alone or another stage, network or optimiser differs, or no step is left.
     """
     trained = _occupancy_checkpoint(path, "resume")
     instead = f"weights={path} takes its weights and begins at step 0"
@@ -143,7 +143,8 @@ def _occupancy_checkpoint(given: str | Path, key: str) -> Checkpoint:
 def _changed(trained: Checkpoint, config: Mapping[str, Any]) -> Iterator[str]:
     """Yield the keys, with both values, in which the network or the optimiser of two configurations differ.
 
-    Keys that only one of them has are those of another version or option, and an option's class is named.
+    Keys that only one of them has are left out, as another version or option has other keys; another option still shows
+    by its class, the value of `_target_`.
     """
     return _differing(_continued(plain(trained.config)), _continued(config))
 

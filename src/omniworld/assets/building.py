@@ -77,7 +77,7 @@ def row(rng: np.random.Generator) -> Mesh:
 
 
 def house(rng: np.random.Generator) -> Mesh:
-    """Build a detached house: gable roof, porch, perhaps a wing and a garage."""
+    """Build a detached house: gable roof, chimney and porch."""
     width, depth = float(rng.uniform(8, 12.5)), float(rng.uniform(7.5, 10.5))
     storeys = int(rng.integers(1, 3))
     height = STOREY_M * storeys - 0.2

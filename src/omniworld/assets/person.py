@@ -54,14 +54,14 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
 
 
 def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
-    """Return length of a stride, width and height; the body is in the middle of the box."""
+    """Return length, width and height (m) of a box around all poses; the body is in its middle."""
     points = np.concatenate([mesh.vertices for mesh in poses])
     length, width = 2 * np.abs(points[:, :2]).max(0)
     return float(length), float(width), float(points[:, 2].max())
 
 
 def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trousers: Skin, skin: Skin) -> list[Mesh]:
-    """Build one leg and the opposite arm, swung by an angle in radians."""
+    """Build the leg and the arm of one side; the leg swings by an angle in radians, the arm the other way."""
     y, hip, shoulder = 0.085 * side * wide, 0.49 * height, 0.79 * height
     knee = (0.25 * height * np.sin(swing), y, hip - 0.25 * height * np.cos(swing))
     lower = swing - 0.5 * max(0.0, -swing) - 0.05

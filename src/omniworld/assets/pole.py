@@ -38,7 +38,7 @@ def park_lamp(rng: np.random.Generator) -> Mesh:
 
 
 def sign(rng: np.random.Generator) -> Mesh:
-    """Build a traffic sign that faces +x: disc, triangle, square or a name board."""
+    """Build a traffic sign that faces +x: disc, triangle or square."""
     height = float(rng.uniform(2.2, 2.7))
     face = Skin(POLE, Material.SIGN, choice(rng, SIGN_COLORS))
     post = lathe([0.04, 0.04], [-0.3, height + 0.35], 5, _STEEL)

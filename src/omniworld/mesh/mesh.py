@@ -17,7 +17,7 @@ class Mesh:
     Attributes:
         vertices: (V, 3) float32, metres, in the frame of the place or of a prototype.
         faces: (F, 3) int32 vertex indices, counter-clockwise seen from outside.
-        uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a
+        uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface, so that a
             texture keeps its size and moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
         material: (F,) uint8 `Material`.

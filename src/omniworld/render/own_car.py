@@ -114,7 +114,7 @@ def read_obj(path: Path) -> Mesh:
 
 
 def _corner(word: str, count: int) -> int:
-    """Return the number of a corner from `12`, `12/3/4` or, counted from the last one, `-1`."""
+    """Return the index of a corner, from 0, given `12` or `12/3/4`, from 1, or `-1`, counted from the last one."""
     number = int(word.split("/")[0])
     index = number - 1 if number > 0 else count + number
     if not 0 <= index < count:

@@ -23,7 +23,7 @@ class View:
         below: (P,) int64 number of the lower neighbour, -1 without one.
         origin_m: (3,) float32, ego frame.
         center: (3, P) float32 unit directions in the ego frame through the pixels' centres.
-        extra: (3, P, S-1) float32 directions through other points of the pixels.
+        extra: (3, P, S-1) float32 directions through other points of the pixels, S rays per pixel in all.
         ego_center_hits: hits of the centre rays on the ego car.
         ego_extra_hits: hits of the other rays, flattened (P * (S-1)).
         pixel_rad: mean angle between neighbouring pixels.
@@ -46,7 +46,7 @@ class View:
 
 
 def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
-    """Return the rays of one camera, `supersample` per pixel along each side; `ego_car` is in the ego frame."""
+    """Return the rays of one camera, `supersample` squared for each pixel; `ego_car` is in the ego frame."""
     directions, valid = rig.rays(camera)
     height, width = valid.shape
     pixel = np.flatnonzero(valid.numpy())

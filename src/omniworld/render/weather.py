@@ -49,7 +49,7 @@ def draw_light(weather: str, rng: np.random.Generator) -> Light:
 
 
 def draw_sensor(rng: np.random.Generator, light: Light) -> Sensor:
-    """Draw cameras exposed for a grey road in this light, within a tenth; noisier after dark."""
+    """Draw cameras exposed for a grey road in this light, 10 % below to 12 % above; noisier after dark."""
     sky = 0.5 * (light.zenith + light.horizon)
     grey = float((light.sun * max(light.sun_direction[2], 0.3) + sky).mean())
     # At dusk a camera stays underexposed, and noisy.
@@ -82,7 +82,7 @@ def _clear(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray,
 
 
 def _dusk(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
-    """Return the light after sunset: a last warm light from the side, a pale horizon, lamps and windows lit."""
+    """Return the light at dusk: a last warm light from the side, a pale horizon, lamps and windows lit."""
     late = 0.9 - 0.6 * depth
     return Light(
         sun_direction=direction,

@@ -106,8 +106,8 @@ class Atlas(NamedTuple):
     """All textures.
 
     Attributes:
-        texels: (layers * texels of a layer,) uint32: bytes tint / 128, then red, green and blue as square roots of
-            linear light.
+        texels: (layers * texels of a layer,) uint32: bytes 128 * tint, then 255 * square root of linear red, green
+            and blue.
         texel_m: (layers,) float32, size of a texel of the finest level.
         macro: (SIZE_PX**2,) float32, slow brightness variation that hides the tiling, mean 1.
     """
