@@ -25,7 +25,7 @@ class Grid(Lattice):
     def voxelize(
         self, points: Float[Tensor, "P 3"], labels: UInt8[Tensor, " P"], num_classes: int = NUM_CLASSES
     ) -> UInt8[Tensor, "X Y Z"]:
-        """Return for every cell the most frequent class of its points (see `rayiou.vote.majority`).
+        """Return for every cell the most frequent class of its points (see `rayiou.vote.majority_vote`).
 
         Args:
             points: surface points in the ego frame, metres; those outside the grid do not count.

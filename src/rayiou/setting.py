@@ -43,7 +43,10 @@ class CountMetric(Metric):
     setting: Tensor
 
     def add_setting(self, setting: UInt8[Tensor, "16"]) -> None:
-        """Add the state that keeps metrics of other settings apart; it comes before all others, which are then kept."""
+        """Add the state that keeps metrics of other settings apart; call this first.
+
+        States are joined in the order in which they were added: where this one raises, the others have not changed.
+        """
         self.add_state("setting", setting, dist_reduce_fx=only_one)
 
     def merge_state(self, incoming_state: "dict[str, Any] | Metric") -> None:

@@ -38,7 +38,7 @@ def downsample(
     """Return coarser labels: blocks of `factor` cells along every axis joined by majority, keeping thin objects.
 
     Only occupied cells vote: a block with a single pole among free or unknown cells is pole. A tie goes to the highest
-    class id, as in `majority`. A block without occupied cells is free, or unknown if most of it is.
+    class id, as in `majority_vote`. A block without occupied cells is free, or unknown if most of it is.
 
     Args:
         labels: class of every cell, or 255 for unknown; batch axes first.

@@ -37,7 +37,7 @@ class Side:
     Attributes:
         edge: index of the street.
         forward: whether the ring runs from the street's start to its end.
-        along_m: (n,) distance from the junction the side starts at, along the centre line.
+        along_m: (n,) distance from the junction the side starts at, along the straight line between both junctions.
         center_m: (n, 2) points of the centre line.
         kerb_m: (n, 2) points of the kerb.
     """

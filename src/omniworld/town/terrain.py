@@ -10,13 +10,13 @@ _HORIZON_START_M = 260.0
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height as a sum of plane waves, so that it is exact and smooth everywhere.
+    """Height as a sum of plane waves, exact and smooth, with hills added more than 260 m from the world's origin.
 
     Attributes:
         wave_vector: (W, 2) of each wave, radians per metre.
         amplitude_m: (W,) of each wave.
         phase_rad: (W,) of each wave at the world's origin.
-        horizon_m: height of the hills on the horizon.
+        horizon_m: mean height of these hills 560 m from the origin; they rise evenly from 260 m on.
     """
 
     wave_vector: np.ndarray

@@ -35,8 +35,8 @@ class Theme:
         guard_rail_fraction: fraction of verges behind a guard rail.
         speed_mps: least and greatest speed of free traffic on a street.
         traffic: kind (`vehicle.KINDS`) -> weight among moving vehicles.
-        car_headway_s: mean time between cars of one lane.
-        walkers_per_block: mean number of walkers around a block.
+        car_headway_s: least time between cars of one lane at the start of the traffic.
+        walkers_per_block: mean number of walkers around a block whose sidewalk is 340 m long.
         hall_fraction: fraction of places that are a hall: walls along the kerbs, and a ceiling over everything.
     """
 

@@ -139,7 +139,7 @@ class Flow:
         self._remember()
 
     def _extend(self, car: Car, k: int) -> None:
-        """Choose the turn and the lane after the lane that the car is on."""
+        """Add turns, each with the lane after it, until at least three pieces follow piece `k`, which the car is on."""
         while len(car.pieces) < k + 4:
             turn = choice(self._rng, self.roads.onward[car.pieces[-1]])
             for piece in (turn, self.roads.turn(turn).target):

@@ -223,7 +223,7 @@ class Round:
 
 
 def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
-    """Draw two files of walkers around every block with a sidewalk, in opposite directions."""
+    """Draw two files of walkers around every block with a sidewalk, in opposite directions; one where it is narrow."""
     rounds = []
     strip, wide = furniture_m(place.theme), place.theme.sidewalk_m
     for ring, paved in zip(place.network.rings, place.paved, strict=True):

@@ -38,7 +38,7 @@ class NightScene(Scene):
 
 
 def night_light(dusk: Light) -> Light:
-    """Return the light of the same sky at night: its own glow is a hundredth of a grey day's, the moon's less."""
+    """Return the light of the same sky at night: a hundredth of a grey day's; moonlight (`sun`) is less."""
     return replace(
         dusk,
         sun=np.array([0.004, 0.005, 0.007], np.float32),
