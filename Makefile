@@ -27,8 +27,8 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
 	$(PYTEST) -m 'not whole_runs and not second_device and not faults and not cluster and not browser and not hostile' $(if $(COVERAGE),--cov)
 
-test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
-	$(PYTEST) -m whole_runs
+test-runs: $(READY)  ## Run the long tests: whole trainings, killed and stopped work, every dataset, a second device
+	$(PYTEST) -m 'whole_runs and not faults'
 
 test-device: $(READY)  ## Train every row of the tables on a simulated second device, where device mistakes show
 	$(PYTEST) -m second_device

@@ -23,6 +23,7 @@ from omniocc.train.stages import predict_range_m
 
 MODEL = Path(__file__).parents[2] / "conf" / "model"
 CUDA = torch.device("cuda", 0)
+pytestmark = pytest.mark.whole_runs
 SLOTS = ("backbone", "geometry", "lifter", "sketch", "temporal", "refiner", "semantic_head", "hints")
 NAMES = [f"model/{slot}={path.stem}" for slot in SLOTS for path in sorted((MODEL / slot).glob("*.yaml"))]
 OPTIONS = [f"{name} {BESIDE.get(name, '')}".strip() for name in NAMES]

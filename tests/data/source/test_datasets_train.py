@@ -22,6 +22,7 @@ from omniocc.train.stages import DepthStage, SketchStage
 from omniocc.train.submission import frames_of, score_files, write_files
 
 pytestmark = [
+    pytest.mark.whole_runs,
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
     pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),

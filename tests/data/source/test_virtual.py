@@ -224,6 +224,7 @@ def test_the_weather_of_a_scene_is_known_without_building_it():
         assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.snapshot(0.0)[0].light)
 
 
+@pytest.mark.whole_runs
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.slow
 def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, render, workers, monkeypatch):
@@ -247,6 +248,7 @@ def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, re
     assert len(again) - len(set(again)) == len(unfinished)  # no whole scene was made again
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_ctrl_c_leaves_no_process_and_the_same_command_ends(reference, tmp_path, render):
     root, mark = tmp_path / "data", tmp_path / "mark"
@@ -272,6 +274,7 @@ def test_a_failing_frame_is_named_and_the_rest_kept(reference, tmp_path, workers
     assert tree(tmp_path) == tree(reference)
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
     root, mark = tmp_path / "data", tmp_path / "mark"
@@ -285,6 +288,7 @@ def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
     assert len(frames) == len(set(frames)) == 16  # they share the work
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render):
     root = tmp_path / "data"
@@ -299,6 +303,7 @@ def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render)
     assert not (tmp_path / "third").exists()  # a second run makes nothing
 
 
+@pytest.mark.whole_runs
 def test_a_limit_on_the_size_of_files_gives_one_line_and_loses_nothing(reference, tmp_path):
     script = (
         "import resource, sys; from fake_scene import FakeWorld\n"

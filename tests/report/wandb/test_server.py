@@ -18,6 +18,8 @@ from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import check_login, finish, run_id, wandb_of
 from omniocc.runs.wandb.media import MediaItem
 
+pytestmark = pytest.mark.whole_runs
+
 CONFIG = {"name": "mono", "seed": 3, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
 
 

@@ -18,6 +18,8 @@ from omniocc.data.store.check import check_scene
 from omniocc.geometry import Cylinder
 from omniworld import Scene
 
+pytestmark = pytest.mark.whole_runs
+
 pytest.importorskip("carla", reason="the client of CARLA is not installed: pip install -e '.[carla]'")
 
 STAND_IN = Path(__file__).with_name("stand_in.py")
