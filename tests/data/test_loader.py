@@ -59,7 +59,7 @@ def in_small_memory(code: str) -> subprocess.CompletedProcess:
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.whole_runs
 def test_batches_that_find_no_shared_memory_come_through_pipes_and_it_is_told_once():
     run = in_small_memory(f"import {Path(__file__).stem} as test; print(test.read())")
     told, numbers = run.stdout.splitlines()
@@ -69,6 +69,7 @@ def test_batches_that_find_no_shared_memory_come_through_pipes_and_it_is_told_on
     assert numbers == str(list(range(8)))
 
 
+@pytest.mark.whole_runs
 def test_a_process_that_cannot_send_ends_the_training_with_a_line():
     with pytest.raises(DataError, match=r"^data.num_workers=1: a loader process ended.*same command again"):
         next(iter(Loader(Numbers(), 2, 1, unsendable)))

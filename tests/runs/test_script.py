@@ -259,7 +259,7 @@ def reader(folder: Path, dies: bool = False, in_lightning: bool = False) -> subp
     )
 
 
-@pytest.mark.slow(15)
+@pytest.mark.whole_runs
 def test_the_death_of_a_loader_process_is_one_line(tmp_path):
     output, errors = (process := reader(tmp_path, dies=True)).communicate(timeout=120)
     assert (process.returncode, output) == (1, "")
@@ -277,14 +277,14 @@ def started_reader(folder: Path, in_lightning: bool) -> subprocess.Popen[str]:
     return process
 
 
-@pytest.mark.slow(15)
+@pytest.mark.whole_runs
 def test_processes_that_read_end_with_a_training_that_is_killed(tmp_path):
     process = started_reader(tmp_path, in_lightning=False)
     process.kill()
     process.communicate(timeout=60)  # returns when no process has the other ends of the pipes
 
 
-@pytest.mark.slow(15)
+@pytest.mark.whole_runs
 def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     """A terminal sends it to the whole group, also to the processes that read."""
     process = started_reader(tmp_path, in_lightning=True)

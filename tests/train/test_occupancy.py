@@ -66,6 +66,7 @@ ONE_BY_ONE = ("backbone", "geometry", "lifter", "sketch", "hints")
 SINGLES = [[f"model/{slot}={name}"] for slot in ONE_BY_ONE for name in options(slot)]
 
 
+@pytest.mark.whole_runs
 @pytest.mark.parametrize(
     "overrides", [*PAIRS, *SINGLES, ["model/temporal=mean", "model.temporal.history_gradient=true"]]
 )
