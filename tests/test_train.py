@@ -131,7 +131,14 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
-    result = run_script("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
+    (tmp_path / "faulty.py").write_text(
+        "from omniocc.loss import CrossEntropy\n\n\nclass Faulty(CrossEntropy):\n    calls = 0\n\n"
+        "    def forward(self, *given):\n        self.calls += 1\n"
+        "        return super().forward(*given) * (1 if self.calls < 2 else float('nan'))\n"
+    )
+    words = smoke(data_root, "model/sketch=dense", "test_images=0", "packages=[faulty]")
+    words += ["loss.voxel.ce._target_=faulty.Faulty"]
+    result = run_script("train.py", *words, cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert result.returncode == 1
     *before, line = result.stderr.strip().splitlines()  # lines before: of rendering, where this test is the first
     assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
