@@ -12,8 +12,8 @@ from hydra.utils import get_object
 from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
-from omniocc.bounds import Count, Kept, Rate, Weight
-from omniocc.config import ConfigError, build, check, check_root, compose_plain, fits, parameters_of, plain
+from omniocc.bounds import Count, Kept, Rate, Weight, fits
+from omniocc.config import ConfigError, build, check, check_root, compose_plain, parameters_of, plain
 from omniocc.geometry import Cylinder
 from omniocc.runs.folder import run_hash
 from omniocc.train.stage_keys import stage_keys

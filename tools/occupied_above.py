@@ -5,6 +5,7 @@ rendered. Frames are predicted with the history that `predict.py occupancy` give
 """
 
 import argparse
+from functools import partial
 
 import torch
 from jaxtyping import Float16, UInt8
@@ -14,7 +15,7 @@ from omniocc.errors import UserError
 from omniocc.predict import load
 from omniocc.predict.input.sequence import RecordedSequence
 from omniocc.predict.options import choose_device
-from omniocc.predict.predictor import Input, Predictor
+from omniocc.predict.predictor import Predictor
 from omniocc.progress import Progress
 from omniocc.report.card import BANDS
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
@@ -55,13 +56,8 @@ def main(words: list[str] | None = None) -> None:
         for scene in scenes:
             sequence = RecordedSequence(scene, tuple(range(len(scene))))
             predictor.image_width = trained.facts.width_for(sequence.rig)
-
-            def read(frame: int, sequence: RecordedSequence = sequence) -> Input:
-                images, pose = sequence.images(frame), sequence.world_from_ego[frame]
-                return Input(*predictor.scaled(images, sequence.rig), pose, sequence.true_range_m(frame), images)
-
             history = "stream" if model.temporal.frames > 1 else "none"
-            for frame, _, found, _ in predictor.frames(sequence.wanted, history, read):
+            for frame, _, found, _ in predictor.frames(sequence.wanted, history, partial(predictor.read, sequence)):
                 truth = sequence.truth(frame, model.geometry, trained.data.ignore)
                 for rule, labels in labels_by_rule(found.labels, found.probability).items():
                     scores[rule].update(labels[None], truth)

@@ -56,6 +56,8 @@ Limit = Annotated[int, Within(-1, 10**9)]
 Weight = Annotated[Real, Within(0, 10**6)]
 """Factors of losses and learning rates, and limits of a norm; 0 leaves out what they multiply."""
 Fraction = Annotated[Real, Within(0, 1)]
+Probability = Annotated[Real, Within(0, 1, open_low=True, open_high=True)]
+"""A limit that divides what is likely from what is not."""
 Kept = Annotated[Real, Within(0, 1, open_high=True)]
 """Fractions of a running mean that are kept in each step; at 1 it would never change."""
 Rate = Annotated[Real, Within(0, 100, open_low=True)]

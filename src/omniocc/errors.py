@@ -1,5 +1,6 @@
 """Errors that scripts report by their message alone."""
 
+import re
 import struct
 import zipfile
 import zlib
@@ -21,6 +22,9 @@ class UserError(ValueError):
 class DataError(OSError):
     """Recorded data is missing, damaged or cannot be written. The message names the path and the remedy."""
 
+
+LOADER_ENDED = re.compile(r"DataLoader worker \(pid.*\) (exited unexpectedly|is killed by signal)")
+"""PyTorch's message when a process that reads samples is gone."""
 
 FAULTS = (
     ArithmeticError,

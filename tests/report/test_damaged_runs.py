@@ -15,7 +15,7 @@ import yaml
 from fake_scene import FakeWorld
 from fake_sweep import CYLINDER, OMNI, report, write_run
 
-from omniocc.config import fits
+from omniocc.bounds import fits
 from omniocc.extras.viewer.watch.server import answer
 from omniocc.runs.results import FROM_TRAJECTORY, HINTS
 from omniocc.runs.robustness import PartScores, Robustness, save_robustness

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, get_worker_info
 
-from omniocc.errors import DataError, first_line
+from omniocc.errors import LOADER_ENDED, DataError, first_line
 from omniocc.parallel import limit_threads, start_fork_server
 
 REMEDY = "enlarge it (Docker: --shm-size=8g), or read in the training process (data.num_workers=0)"
@@ -71,7 +71,7 @@ class Loader(DataLoader):
         try:
             yield from batches
         except RuntimeError as error:
-            if not first_line(error).startswith("DataLoader worker (pid"):
+            if not LOADER_ENDED.match(str(error)):
                 raise
             raise DataError(
                 f"data.num_workers={self.num_workers}: a loader process ended (out of memory?). Run the same command "

@@ -76,7 +76,7 @@ class Job:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):
                     self._score_finished(sequence, frame)
-                for found in self.predictor.frames(wanted, self.history, partial(self._read, sequence)):
+                for found in self.predictor.frames(wanted, self.history, partial(self.predictor.read, sequence)):
                     progress.message(self._keep(sequence, *found))
                     progress.advance()
 
@@ -93,11 +93,6 @@ class Job:
         steps = ", ".join(f"{step} {value:.2f} s" for step, value in median.items())
         count = len(self.seconds)
         return [f"{count} frame{'s' * (count != 1)} in {clock(total_s)}; median per frame: {steps}"]
-
-    def _read(self, sequence: FrameSequence, frame: int) -> Input:
-        images, poses = sequence.images(frame), sequence.world_from_ego
-        pose = None if poses is None else poses[frame]
-        return Input(*self.predictor.scaled(images, sequence.rig), pose, sequence.true_range_m(frame), images)
 
     def _keep(
         self, sequence: FrameSequence, frame: int, given: Input, prediction: PredictedFrame, watch: Stopwatch

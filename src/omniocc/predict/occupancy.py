@@ -51,8 +51,6 @@ def options_of(cfg: DictConfig) -> Options:
         raise UserError("rig=..., poses=... and road_z_m=... belong to images=...; recorded scenes have their own")
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
-    if not 0 < (0.5 if options.occupied_above is None else options.occupied_above) < 1:
-        raise UserError(f"occupied_above={options.occupied_above}: give a probability between 0 and 1")
     return options
 
 

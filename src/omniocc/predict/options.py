@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from omegaconf import DictConfig, OmegaConf
 
+from omniocc.bounds import Probability
 from omniocc.camera import Rig
 from omniocc.errors import UserError, first_line
 from omniocc.predict.input.schedule import History
@@ -33,7 +34,7 @@ class Options:
     device: str | None
     viewer: str | None = None
     image_bits: int | None = None
-    occupied_above: float | None = None
+    occupied_above: Probability | None = None  # pyright: ignore[reportOperatorIssue]
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:

@@ -20,6 +20,7 @@ from omniocc.model.depth import DepthMap
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.schedule import History, schedule
+from omniocc.predict.input.sequence import FrameSequence
 from omniocc.predict.stopwatch import Stopwatch
 
 Images = Sequence[UInt8[np.ndarray, "H W 3"]]
@@ -165,6 +166,12 @@ class Predictor:
             for image, name in zip(images, rig.names, strict=True)
         ]
         return resized_to_width(shown, rig, self.image_width)
+
+    def read(self, sequence: FrameSequence, frame: int) -> Input:
+        """Return a frame of a sequence as `step` takes it. Errors are those of its images and of `scaled`."""
+        images, poses = sequence.images(frame), sequence.world_from_ego
+        pose = None if poses is None else poses[frame]
+        return Input(*self.scaled(images, sequence.rig), pose, sequence.true_range_m(frame), images)
 
     def frames(
         self, wanted: Sequence[int], history: History, read: Callable[[int], Input]

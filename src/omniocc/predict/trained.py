@@ -12,6 +12,7 @@ from jaxtyping import Float16, Float32, UInt8
 from omegaconf import DictConfig
 from torch import nn
 
+from omniocc.bounds import Probability, described, fits
 from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.formats.files import check_aspect
@@ -220,8 +221,8 @@ class Trained:
     def occupied_above(self) -> float | None:
         """Return the probability above which a cell counts as occupied; None: the most likely class counts."""
         value = self.config.get("occupied_above")
-        if not (value is None or (isinstance(value, float) and 0 < value < 1)):
-            raise UserError(f"{self.path} is damaged: occupied_above is {value}; it must be between 0 and 1")
+        if value is not None and not fits(value, Probability):
+            raise UserError(f"{self.path} is damaged: occupied_above is not {described(Probability)}")
         return value
 
     @cached_property

@@ -7,7 +7,8 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from omniocc.config import GROUPS, fits
+from omniocc.bounds import fits
+from omniocc.config import GROUPS
 from omniocc.errors import UserError, repr_of
 from omniocc.io import parse_yaml, read_short_text
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from omniocc.config import fits
+from omniocc.bounds import fits
 from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from omniocc.progress import Status, write_status

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from omniocc.config import fits
+from omniocc.bounds import fits
 from omniocc.errors import UserError, first_line, repr_of
 from omniocc.io import atomic_write, checked_name, parse_json, read_short_text
 from omniocc.runs.results import LARGEST

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from omniocc.config import fits
+from omniocc.bounds import fits
 from omniocc.errors import FAULTS, UserError, first_line, in_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
 from rayiou.ray_counts import RayCounts, ray_scores

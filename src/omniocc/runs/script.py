@@ -27,7 +27,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
-from omniocc.errors import INTERRUPTED, UserError
+from omniocc.errors import INTERRUPTED, LOADER_ENDED, UserError
 from omniocc.io import cannot_write
 from omniocc.runs.renamed import new_key
 
@@ -42,8 +42,6 @@ SUBSTITUTES |= {"✅": "yes", "☑": "(yes)", "❌": "no"}
 """What is written for characters of our texts; others are decomposed (… is ...), or become a question mark."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
-LOADER_KILLED = re.compile(r"DataLoader worker \(pid.*\) (exited unexpectedly|is killed by signal)")
-"""PyTorch's message when a process that reads samples is gone."""
 
 
 def lines_not_tracebacks(main: Callable[..., None], again: str = "") -> Callable[..., None]:
@@ -66,7 +64,7 @@ def lines_not_tracebacks(main: Callable[..., None], again: str = "") -> Callable
             if not (isinstance(error, BrokenPipeError) and output_is_closed()):
                 sys.exit(line_of(error))
         except RuntimeError as error:
-            if not LOADER_KILLED.match(str(error)):
+            if not LOADER_ENDED.match(str(error)):
                 raise
             sys.exit(
                 "a process that reads the data was killed (out of memory?). Run the same command again, perhaps with a "

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
-from omniocc.config import fits
+from omniocc.bounds import fits
 from omniocc.errors import UserError
 from omniocc.extras.viewer.watch.files import (
     Identity,
