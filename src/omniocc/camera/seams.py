@@ -44,8 +44,8 @@ class Seams(NamedTuple):
 
     Attributes:
         blocks: number of blocks that both cameras see.
-        fits: mean correlation of the blocks, in [-1, 1], if the first camera had the image of the row and the second
-            that of the column.
+        fits: mean correlation of the blocks, in [-1, 1]. Element (i, j): the first camera has image i, the second
+            image j.
     """
 
     blocks: int
@@ -63,7 +63,7 @@ def better_order(images: Images, rig: Rig) -> tuple[int, ...] | None:
 
 
 def best_order(seams: Mapping[tuple[int, int], Seams], kinds: Sequence[Hashable]) -> tuple[int, ...] | None:
-    """Return the same, given what was measured and the kind of each image; those of a kind change places.
+    """Return the image of each camera by the measured seams; None as `better_order`. Images of one kind change places.
 
     Of orders that fit equally well, as in a ring of equal cameras whose images all move on by one, the one with the
     fewest changes is returned.
