@@ -39,8 +39,8 @@ NAMES = {
 class EfficientNetLite0(nn.Module):
     """Extract features by 11 of the 16 blocks of EfficientNet-Lite0 (Liu, 2020) and a feature pyramid.
 
-    Lite0 is EfficientNet-B0 (Tan and Le, 2019) without squeeze-and-excitation and with ReLU6. Images are padded at the right and at the
-    bottom to a multiple of 16 px.
+    Lite0 is EfficientNet-B0 (Tan and Le, 2019) without squeeze-and-excitation and with ReLU6. Images are padded at the
+    right and at the bottom to a multiple of 16 px.
 
     Args:
         weights: those of ImageNet, from the extra `pretrained`, or None for random ones.
