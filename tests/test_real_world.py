@@ -102,7 +102,8 @@ def test_the_cloth_lies_on_the_road_and_things_stand_around_it(cloth):
 
 def test_voxels_on_the_cloth_and_things_are_found_and_chance_is_told(cloth):
     road, seen = real_world.road_layer(GRID, cloth.road_z_m), torch.ones(GRID.shape, dtype=torch.bool)
-    flat = real_world.ruled((torch.arange(8) == road).expand(GRID.shape), road)
+    on_it = real_frames.on_cloth(GRID.centers())
+    flat = real_world.ruled((torch.arange(8) == road) & on_it, road)
     found = real_world.cloth_scores(flat, GRID, cloth, seen)
     assert list(found.values()) == [1, 1, 0, 0, 0]
     flat[GRID.index(real_frames.foot_points(RIG) + torch.tensor([0.0, 0.0, 1.4]))[0].unbind(-1)] = 7
@@ -173,6 +174,14 @@ def test_a_flat_road_is_near_most_points_of_real_roads(samples):
     assert len(frame.images) == len(frame.rig.cameras) == 6
     assert frame.road_z_m == pytest.approx(-1.5, abs=0.1)
     assert real_world.range_rows(frame, {})["a flat road"]["road"][3] == pytest.approx(0.9, abs=0.005)
+
+
+def test_classes_of_the_points_of_a_key_frame_are_read_where_they_are(samples, tmp_path):
+    for path in (samples / "nuscenes_demo").iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    np.tile(np.array([24, 31], np.uint8), 34_688 // 2).tofile(tmp_path / "a_lidarseg.bin")  # a road, and the own car
+    (frame,) = real_frames.read_folder(tmp_path)
+    assert set(frame.labels.tolist()) == {1, 255}
 
 
 def test_points_of_a_real_street_have_classes_and_lie_in_view(samples):
