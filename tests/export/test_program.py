@@ -15,6 +15,7 @@ OPTIONS = [
     ["model/temporal=none", "model=extended"],
     ["model/temporal=none", "model/depth=omnimvs3d"],
     ["model/temporal=none", "model/depth=mono"],
+    ["model/temporal=none", "model/depth=centred"],
     ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],
     [
         "model/temporal=none",
