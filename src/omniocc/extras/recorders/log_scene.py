@@ -215,7 +215,7 @@ def _hash_recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, options: SceneO
 
 
 def road_of(rig: Rig, options: SceneOptions) -> float:
-    """Return the height of the road in the ego frame, m; raise UserError if neither the options nor the rig state it."""
+    """Return the height of the road in the ego frame, m; raise UserError if neither options nor rig state it."""
     road_z_m = rig.road_z_m if options.road_z_m is None else options.road_z_m
     if road_z_m is None:
         raise UserError("the height of the road is not known: give road_z_m, m, in the ego frame, or in the rig file")
