@@ -67,7 +67,7 @@ def reproject(depth: DepthMap, panorama: Equirectangular, spheres: Spheres, heig
     """
     rays = panorama.rays(depth.range_m.device).to(depth.range_m)
     points_m = depth.range_m[..., None] * rays + rays.new_tensor([0, 0, height_m])
-    flat = (part.flatten(1) for part in (depth.confidence, depth.valid))
-    range_m, confidence = draw_front(points_m.flatten(1, 2), *flat, panorama)
+    confidence, valid = depth.confidence.flatten(1), depth.valid.flatten(1)
+    range_m, confidence = draw_front(points_m.flatten(1, 2), confidence, valid, panorama)
     index = spheres.index(range_m.clamp(max=spheres.farthest_m))
     return from_index(index, range_m.isfinite(), confidence, spheres)
