@@ -17,7 +17,7 @@ def images():
 
 
 def changed(seed=0, **limits):
-    return Appearance(**(OFF | limits))(images(), MASK, torch.Generator().manual_seed(seed))
+    return Appearance(**(OFF | limits)).change(images(), MASK, torch.Generator().manual_seed(seed))
 
 
 def test_off_changes_nothing():
@@ -66,7 +66,7 @@ def test_padding_and_black_pictures_stay_black():
     mask[0, 1, :, 20:], mask[1, 3] = False, False
     given[1, 0] = 0
     everything = {name: 0.5 for name in OFF if name != "missing"}
-    result = Appearance(**(OFF | everything))(given * mask[:, :, None], mask, torch.Generator().manual_seed(0))
+    result = Appearance(**(OFF | everything)).change(given * mask[:, :, None], mask, torch.Generator().manual_seed(0))
     assert not result[0, 1, :, :, 20:].any()
     assert not result[1, 3].any()
     assert not result[1, 0].any()
