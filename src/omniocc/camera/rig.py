@@ -163,11 +163,12 @@ class Rig:
         return self._with_sizes([(width, height)] * len(self.cameras))
 
     def scaled(self, factor: float) -> "Rig":
-        """Return the same rig with every image about `factor` times as wide, in whole pixels of the same aspect ratio.
+        """Return the same rig with every image about `factor` times as wide, with the same ratio of width to height.
 
-        Images whose width and height have a large common divisor come nearest to the factor.
+        Even sizes stay even. Images whose width and height have a large common divisor come nearest to the factor.
         """
-        parts = [math.gcd(camera.width, camera.height) for camera in self.cameras]
+        divisors = [math.gcd(camera.width, camera.height) for camera in self.cameras]
+        parts = [divisor if divisor % 2 else divisor // 2 for divisor in divisors]
         steps = [max(1, round(factor * part)) for part in parts]
         scales = zip(self.cameras, parts, steps, strict=True)
         return self._with_sizes([(c.width // part * step, c.height // part * step) for c, part, step in scales])

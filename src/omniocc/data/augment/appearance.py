@@ -14,7 +14,6 @@ from torch.nn import functional as F
 from omniocc.batch import Batch
 from omniocc.data.augment import degrade
 from omniocc.data.augment.image import LUMINANCE, uniform
-from omniocc.model.ops.padded import to_unit_range
 
 Images = Float[Tensor, "B N 3 H W"]
 
@@ -61,7 +60,7 @@ class Appearance:
 
     def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
         """Return a batch whose images are changed, and floats in [0, 1]; all frames of a window in the same way."""
-        images, mask = to_unit_range(batch.images), batch.image_mask()
+        images, mask = batch.images.float() / 255, batch.image_mask()
         state, changed = generator.get_state(), []
         for frame in range(images.shape[1]):
             generator.set_state(state)
