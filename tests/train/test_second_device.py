@@ -55,8 +55,17 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
     assert all(torch.isfinite(value) or value.isnan() for value in task.scores.compute().values())
 
 
+WAYS = ("camera", "rig", "scale", "image")
+DISTURBED = [
+    " ".join(
+        ["model=extended augment=disturbed", *(f"augment.disturbances.{n}_probability={int(n == way)}" for n in WAYS)]
+    )
+    for way in WAYS
+]
+
+
 @pytest.mark.parametrize(
-    "option", [*OPTIONS, "loss=with_ranges model=bevdet", "loss=with_first_hits", "model=extended"]
+    "option", [*OPTIONS, "loss=with_ranges model=bevdet", "loss=with_first_hits", "model=extended", *DISTURBED]
 )
 def test_every_option_trains_and_is_scored_there(option, make_task, device):
     sketch = [] if option.startswith(("model/sketch", "model=extended")) else ["model/sketch=dense"]
