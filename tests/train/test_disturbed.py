@@ -2,19 +2,13 @@
 
 import pytest
 import torch
-from batches import RIG, make_batch
+from batches import RIG, WAYS, always, make_batch
 
 from omniocc.data import Disturbances
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.train.adamw import AdamW
 from omniocc.train.depth import DepthTask
-
-WAYS = ("camera", "rig", "scale", "image")
-
-
-def only(way):
-    return [f"augment.disturbances.{other}_probability={float(other == way)}" for other in WAYS]
 
 
 @pytest.fixture
@@ -29,7 +23,7 @@ def silent(monkeypatch):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_the_model_computes_the_candidates_of_disturbed_batches(way, make_task, silent, monkeypatch):
-    task = silent(make_task("model=extended", "augment=disturbed", *only(way)))
+    task = silent(make_task("model=extended", "augment=disturbed", *always(way)))
     weights = {name: value.clone() for name, value in task.model.sketch.state_dict().items()}
     task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
     asked, propose = [], task.model.propose
@@ -47,7 +41,7 @@ def test_the_model_computes_the_candidates_of_disturbed_batches(way, make_task, 
 
 def test_other_batches_keep_their_images_rigs_and_stored_candidates(make_task, silent, monkeypatch):
     losses = []
-    for words in (("augment=disturbed", *only("none")), ()):
+    for words in (("augment=disturbed", *always("none")), ()):
         task = silent(make_task("model=extended", *words, "augment.erase_probability=0"))
         assert isinstance(task.augment.disturbances, Disturbances) == bool(words)
         monkeypatch.setattr(task.model, "propose", None)
@@ -56,7 +50,7 @@ def test_other_batches_keep_their_images_rigs_and_stored_candidates(make_task, s
 
 
 def test_a_system_without_a_sketch_gets_the_disturbed_images(make_task, silent):
-    task = silent(make_task("model=flashocc", "augment=disturbed", *only("camera")))
+    task = silent(make_task("model=flashocc", "augment=disturbed", *always("camera")))
     task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
     batch = make_batch(task, [(0, 2), (1, 2)], with_candidates=False)
     disturbed = task.training_step(batch, 0)
@@ -74,7 +68,7 @@ def test_recorded_ranges_cannot_be_disturbed(make_task):
 def test_the_depth_network_learns_true_panoramas_from_disturbed_batches(
     way, smoke, spec, make_task, silent, monkeypatch
 ):
-    parts = Parts(smoke("augment=disturbed", "+appearance=disturbed", *only(way)))
+    parts = Parts(smoke("augment=disturbed", "+appearance=disturbed", *always(way)))
     model = parts.depth()
     optimizer = parts.recipe("depth").optimizer
     assert isinstance(optimizer, AdamW)
