@@ -1,6 +1,8 @@
 import pytest
 import torch
 
+from omniocc.batch import Batch
+from omniocc.camera import Rig
 from omniocc.data import Appearance
 from omniocc.data.augment.appearance import _jpeg, missing_ones
 from omniocc.data.augment.degrade import compress_jpeg
@@ -50,6 +52,20 @@ def test_grey_rigs_have_equal_channels():
     result = changed(grey=1.0)
     assert torch.allclose(result[:, :, 0], result[:, :, 1], atol=1e-3)
     assert torch.allclose(result[:, :, 0], result[:, :, 2], atol=1e-3)
+
+
+def test_all_frames_of_a_window_change_alike_and_a_single_one_as_its_images_do():
+    rig = Rig.load("fisheye6").resized(32, 18)
+    batch = Batch((images()[:, :, :, :18] * 255).byte()[:, None], ((rig,),) * 2, torch.eye(4)[None, None], ("a", "b"))
+    batch = batch._replace(images=batch.images.repeat(1, 1, 2, 1, 1, 1)[:, :, :6])
+    change = Appearance(**(OFF | {"exposure": 1.0, "noise": 0.1, "missing": 1.0}))
+    alone = change(batch, torch.Generator().manual_seed(3)).images
+    expected = change.change(batch.images[:, 0] / 255, batch.image_mask()[:, 0], torch.Generator().manual_seed(3))
+    assert torch.equal(alone[:, 0], expected)
+    window = batch._replace(images=batch.images.expand(-1, 3, -1, -1, -1, -1), rigs=((rig,) * 3,) * 2)
+    generator = torch.Generator().manual_seed(3)
+    assert torch.equal(change(window, generator).images, alone.expand(-1, 3, -1, -1, -1, -1))
+    assert not torch.equal(generator.get_state(), torch.Generator().manual_seed(3).get_state())
 
 
 def test_at_most_one_camera_of_three_or_more_is_lost():
