@@ -164,6 +164,7 @@ CHOICES = [
     "model/depth=mono optimizer=adamw loss=with_frustums",
     "data=occ3d_nuscenes data.source.root=x",
     "model=fosocc",
+    "augment=disturbed +appearance=disturbed",
 ]
 
 
