@@ -37,9 +37,14 @@ PINHOLE_DEG = 130.0
 MISSING = 0.15
 """Probability that a rig of more than two cameras lacks one of them."""
 
-RANDOM = "random"
-"""Name of a rig that is drawn anew for every scene."""
-VERSION = 1
+NARROW_DEG = (50.0, 90.0)
+"""Least and greatest field of view of the narrow cameras of `draw_any_rig`."""
+TALL_M = (1.8, 3.2)
+"""Least and greatest height of the cameras of a truck or bus above the road."""
+
+RANDOM, ANY = "random", "any"
+"""Names of rigs that are drawn anew for every scene, by `draw_rig` and `draw_any_rig`."""
+VERSIONS = {RANDOM: 1, ANY: 1}
 """Raised when the code draws other rigs, so that scenes are rendered anew."""
 
 Origin = float | Literal["drawn"] | None
@@ -73,6 +78,31 @@ def draw_rig(rng: Draw, pixels: int) -> Rig:
     return rig_at(rng, places, str(rng.choice((*LENSES, "pinhole"), p=_LENS_P)), pixels, -height_m)
 
 
+def draw_any_rig(rng: Draw, pixels: int) -> Rig:
+    """Return a rig as `draw_rig` does, or one of those with less overlap or height in common: what people have.
+
+    Half are rigs of `draw_rig`. The others are rings of narrow cameras, pairs and single cameras that look ahead, and
+    trucks and buses.
+    """
+    kind = rng.choice(("drawn", "narrow", "pair", "single", "truck"), p=(0.5, 0.15, 0.15, 0.1, 0.1))
+    if kind == "drawn":
+        return draw_rig(rng, pixels)
+    if kind == "truck":
+        return rig_at(rng, truck_places(rng), _fisheye(rng), pixels, -float(rng.uniform(*TALL_M)))
+    narrow = kind == "narrow" or rng.uniform() < 0.7
+    lens, field_deg = ("pinhole", NARROW_DEG) if narrow else (_fisheye(rng), FIELD_DEG)
+    height_m = float(rng.uniform(0.6, 2.2))
+    if kind == "narrow":
+        places = ring_places(rng, int(rng.choice((4, 5, 6, 7))), _log_uniform(rng, 0.2, 1.2), (-8, 4), upright=True)
+    else:
+        places = ahead_places(rng, 2 if kind == "pair" else 1)
+    return rig_at(rng, places, lens, pixels, -height_m, field_deg)
+
+
+def _fisheye(rng: Draw) -> str:
+    return str(rng.choice(LENSES))
+
+
 def check_origin(above_m: Origin) -> Origin:
     """Return the height of an origin as a number, `drawn` or None; raise ValueError for any other value."""
     if above_m is None or above_m == DRAWN:
@@ -91,28 +121,41 @@ def draw_origin(rng: Draw, rig_m: float) -> float:
 _LENS_P = (*(0.95 / len(LENSES),) * len(LENSES), 0.05)
 
 
-def rig_at(rng: Draw, places: list[Place], lens: str, pixels: int, road_z_m: float) -> Rig:
-    """Return cameras of one kind at the given places; field of view and image size are drawn."""
-    field_deg = float(rng.uniform(*FIELD_DEG))
+def rig_at(
+    rng: Draw,
+    places: list[Place],
+    lens: str,
+    pixels: int,
+    road_z_m: float,
+    field_deg: tuple[float, float] = FIELD_DEG,
+) -> Rig:
+    """Return cameras of one kind at the given places; field of view (between two limits) and image size are drawn."""
+    field = float(rng.uniform(*field_deg))
     aspect = float(rng.choice((1.0, 4 / 3, 3 / 2, 16 / 9)))
     width = 8 * round(math.sqrt(pixels * aspect) / 8)
     height = 8 * round(math.sqrt(pixels / aspect) / 8)
     fill = float(rng.uniform(0.85, 1.2))
-    cameras = tuple(draw_lens(rng, lens, width, height, field_deg, fill) for _ in places)
+    cameras = tuple(draw_lens(rng, lens, width, height, field, fill) for _ in places)
     poses = torch.stack([pose_from_angles(*place) for place in places])
     return Rig(cameras, poses, tuple(f"camera{k}" for k in range(len(places))), None, road_z_m)
 
 
-def ring_places(rng: Draw, count: int, radius_m: float) -> list[Place]:
-    """Return cameras around a centre that look outwards, unevenly spaced; some hang upside down or on their side."""
+def ring_places(
+    rng: Draw, count: int, radius_m: float, pitch_deg: tuple[float, float] = (-30, 10), upright: bool = False
+) -> list[Place]:
+    """Return cameras around a centre that look outwards, unevenly spaced.
+
+    Unless they are `upright`, some hang upside down or on their side.
+    """
     azimuths_deg = 360 * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count + rng.uniform(0, 360)
-    pitch_deg, tilt = rng.uniform(-30, 10), rng.choice((0.0, 180.0, 90.0), p=(0.85, 0.1, 0.05))
+    pitch, tilt = rng.uniform(*pitch_deg), rng.choice((0.0, 180.0, 90.0), p=(0.85, 0.1, 0.05))
+    tilt = 0.0 if upright else tilt
     places = []
     for azimuth_deg in azimuths_deg.tolist():
         radius = radius_m * float(rng.uniform(0.8, 1.2))
         turn = math.radians(azimuth_deg)
         at_m = radius * math.cos(turn), radius * math.sin(turn), float(rng.normal(0, 0.05))
-        angles = rng.normal((azimuth_deg, pitch_deg, tilt), (5.0, 4.0, 2.0)).tolist()
+        angles = rng.normal((azimuth_deg, pitch, tilt), (5.0, 4.0, 2.0)).tolist()
         places.append((at_m, *angles))
     return places
 
@@ -126,6 +169,29 @@ def car_places(rng: Draw) -> list[Place]:
     return [
         ((x, y, z), yaw + float(rng.normal(0, 4)), pitch, float(rng.normal(0, 2)))
         for (x, y), z, yaw, pitch in zip(at_m, height_m, (0.0, 90.0, 180.0, -90.0), pitch_deg, strict=True)
+    ]
+
+
+def truck_places(rng: Draw) -> list[Place]:
+    """Return cameras at the four sides of a truck or bus, two on each long side of half of them."""
+    half_m, side_m = float(rng.uniform(2.5, 6.0)), float(rng.uniform(1.1, 1.35))
+    along_m = (half_m / 2, -half_m / 2) if rng.uniform() < 0.5 else (float(rng.uniform(-0.5, 0.8)) * half_m,)
+    pitch_deg = float(rng.uniform(-50, -15))
+    at_m = [(half_m, 0.0, 0.0), (-half_m, 0.0, 180.0)]
+    at_m += [(x, side * side_m, side * 90.0) for side in (1, -1) for x in along_m]
+    return [
+        ((x, y, float(rng.normal(0, 0.1))), *rng.normal((yaw, pitch_deg, 0.0), (4.0, 5.0, 2.0)).tolist())
+        for x, y, yaw in at_m
+    ]
+
+
+def ahead_places(rng: Draw, count: int) -> list[Place]:
+    """Return cameras side by side that look ahead."""
+    baseline_m, ahead_m = _log_uniform(rng, 0.1, 0.8), float(rng.uniform(-0.3, 1.5))
+    pitch_deg = float(rng.uniform(-12, 4))
+    spread_m = np.linspace(baseline_m / 2, -baseline_m / 2, count) if count > 1 else np.zeros(1)
+    return [
+        ((ahead_m, y, 0.0), *rng.normal((0.0, pitch_deg, 0.0), (1.0, 0.5, 0.5)).tolist()) for y in spread_m.tolist()
     ]
 
 
@@ -229,3 +295,6 @@ _DRAW: dict[str, Callable[[Draw, float], Shape]] = {
     "radial_polynomial": _radial_polynomial,
     "ocam": _ocam,
 }
+
+DRAWING: dict[str, Callable[[Draw, int], Rig]] = {RANDOM: draw_rig, ANY: draw_any_rig}
+"""What draws the rig of a scene, by the name of the rig."""

@@ -22,7 +22,7 @@ from omniocc.geometry import Grid
 from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
-from omniworld.drawn import DRAWN, RANDOM, VERSION, Origin, check_origin, draw_origin, draw_rig, perturb_rig
+from omniworld.drawn import DRAWING, DRAWN, VERSIONS, Origin, check_origin, draw_origin, perturb_rig
 from omniworld.fingerprint import variations_code, world_code
 from omniworld.plans import Recordable, ScenePlan
 from omniworld.render.own_car import mask_ego_car, road_of
@@ -111,7 +111,8 @@ class VirtualWorld:
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         self.root, self.cache = root, cache
-        self.rig = None if rig == RANDOM else _resized(rig, image_size)
+        self.rig_name = rig
+        self.rig = None if rig in DRAWING else _resized(rig, image_size)
         self.pixels = image_size[0] * image_size[1]
         self.themes = tuple(themes)
         self.num_scenes = {"train": train_scenes, "val": val_scenes, "test": test_scenes}
@@ -154,7 +155,9 @@ class VirtualWorld:
         return {
             "schema": SCHEMA,
             "world": world_code(),
-            "rig": f"{RANDOM} {VERSION} {self.pixels}" if self.rig is None else self.rig.fingerprint,
+            "rig": f"{self.rig_name} {VERSIONS[self.rig_name]} {self.pixels}"
+            if self.rig is None
+            else self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
             **self._settings,
             "erp_size": list(self.erp_size),
@@ -216,7 +219,7 @@ class VirtualWorld:
 
     def rig_of(self, plan: ScenePlan) -> Rig:
         """Return the cameras of one scene, in its ego frame."""
-        rig = self.rig or draw_rig(seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
+        rig = self.rig or DRAWING[self.rig_name](seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
         origin_m = self.origin_above_road_m
         if origin_m is None:
             return rig

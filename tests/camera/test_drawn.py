@@ -5,12 +5,16 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
+from omniocc.camera.models.pinhole import Pinhole
 from omniworld.drawn import (
     COUNTS,
     FIELD_DEG,
     HEIGHT_M,
     LENSES,
+    NARROW_DEG,
+    TALL_M,
     car_places,
+    draw_any_rig,
     draw_lens,
     draw_rig,
     perturb_rig,
@@ -90,3 +94,26 @@ def test_a_disturbed_rig_is_rigid_and_near():
     angle = torch.acos(((change[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1) - 1) / 2).clamp(max=1))
     assert 0 < float(angle.max()) < math.radians(0.6)
     assert 0 < float(change[:, :3, 3].norm(dim=1).max()) < 0.015
+
+
+def test_any_rig_is_also_narrow_a_pair_single_or_of_a_truck():
+    drawn = [draw_any_rig(np.random.default_rng(seed), PIXELS) for seed in range(300)]
+    assert drawn[7] == draw_any_rig(np.random.default_rng(7), PIXELS)
+    counts = [len(rig.cameras) for rig in drawn]
+    assert min(counts) == 1
+    assert {1, 2, 4, 5, 6, 7} <= set(counts)
+    narrow = [rig for rig in drawn if isinstance(rig.cameras[0], Pinhole) and field_deg(rig) < NARROW_DEG[1] + 20]
+    assert {len(rig.cameras) for rig in narrow} >= {1, 2, 4, 5, 6, 7}
+    assert 2.8 < max(-rig.road_z_m for rig in drawn) <= TALL_M[1]
+    assert max(float(rig.ego_from_camera[:, :2, 3].abs().max()) for rig in drawn) > 4
+
+
+def field_deg(rig: Rig) -> float:
+    camera = rig.cameras[0]
+    return math.degrees(2 * math.atan(camera.width / 2 / camera.focal_px[0]))
+
+
+def test_random_rigs_are_what_they_were():
+    rig = draw_rig(np.random.default_rng(3), PIXELS)
+    assert (len(rig.cameras), type(rig.cameras[0]).__name__) == (3, "DoubleSphere")
+    assert float(rig.ego_from_camera.sum()) == pytest.approx(-0.38873792399286256, abs=1e-9)
