@@ -44,7 +44,7 @@ TALL_M = (1.8, 3.2)
 
 RANDOM, ANY = "random", "any"
 """Names of rigs that are drawn anew for every scene, by `draw_rig` and `draw_any_rig`."""
-VERSIONS = {RANDOM: 1, ANY: 1}
+VERSION = 1
 """Raised when the code draws other rigs, so that scenes are rendered anew."""
 
 Origin = float | Literal["drawn"] | None

@@ -22,7 +22,7 @@ from omniocc.geometry import Grid
 from omniocc.parallel import Report, Stopped, make_scenes, usable_cores
 from omniocc.progress import Progress
 from omniworld.assets.vehicle import EGO_ROAD_M
-from omniworld.drawn import DRAWING, DRAWN, VERSIONS, Origin, check_origin, draw_origin, perturb_rig
+from omniworld.drawn import DRAWING, DRAWN, VERSION, Origin, check_origin, draw_origin, perturb_rig
 from omniworld.fingerprint import variations_code, world_code
 from omniworld.plans import Recordable, ScenePlan
 from omniworld.render.own_car import mask_ego_car, road_of
@@ -155,9 +155,7 @@ class VirtualWorld:
         return {
             "schema": SCHEMA,
             "world": world_code(),
-            "rig": f"{self.rig_name} {VERSIONS[self.rig_name]} {self.pixels}"
-            if self.rig is None
-            else self.rig.fingerprint,
+            "rig": f"{self.rig_name} {VERSION} {self.pixels}" if self.rig is None else self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
             **self._settings,
             "erp_size": list(self.erp_size),
