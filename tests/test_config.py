@@ -84,7 +84,8 @@ def slot_options():
 
 @pytest.mark.parametrize("override", list(slot_options()))
 def test_every_slot_option_builds_a_model(override, composed):
-    cfg = composed(override, *(["model/sketch=omni"] if override.startswith("model/depth=") else []))
+    beside = {"depth": ["model/sketch=omni"], "backbone": ["model.backbone.weights=null"]}
+    cfg = composed(override, *beside.get(override.partition("=")[0].removeprefix("model/"), []))
     check_root(cfg)
     model = build(cfg.model)
     assert model.geometry.shape == build(cfg.model.geometry).shape

@@ -58,7 +58,7 @@ class Parts:
         return build(self.cfg.model)
 
     def appearance(self) -> Any:
-        """Return the image augmentation of the depth stage, `omniocc.data.Appearance`; None without any."""
+        """Return the augmentation of the depth stage, `omniocc.data.Appearance` or `Disturbances`; None without any."""
         return None if self.cfg.appearance is None else build(self.cfg.appearance)
 
     def range_mixture(self) -> Any:

@@ -224,6 +224,7 @@ def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> No
         "backbone=stages []": ["model/backbone=resnet", "model.backbone.deformable_stages=[]"],
         "backbone=stages [3,4]": ["model/backbone=resnet", "model.backbone.deformable_stages=[3,4]"],
         "model/backbone=transformers": ["model/backbone=transformers"],
+        "model/backbone=efficientnet_lite0": ["model/backbone=efficientnet_lite0"],
     }
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("train", overrides=base)

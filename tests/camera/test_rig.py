@@ -307,3 +307,26 @@ def test_the_page_has_an_example_of_every_lens_model_and_of_a_matrix(tmp_path):
     assert lenses_that_do_not_fit(rig) == ()
     matrix = yaml.safe_load(next(block for block in blocks if block.startswith("ego_from_camera")))["ego_from_camera"]
     assert torch.equal(torch.tensor(matrix, dtype=torch.float64), pose_from_angles((0.9, 0.0, 0.0), 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("size", "factor", "expected"),
+    [
+        ((256, 144), 0.7, (192, 108)),  # in steps of 32x18, so that it stays even
+        ((256, 144), 2.0, (512, 288)),
+        ((64, 36), 0.1, (32, 18)),
+        ((75, 45), 0.7, (50, 30)),  # in steps of 5x3, since it is odd
+        ((1280, 966), 0.7, (1280, 966)),
+    ],
+)
+def test_a_scaled_rig_has_whole_pixels_and_keeps_its_aspect(size, factor, expected):
+    pinhole = Pinhole(*size, (100.0, 100.0), ((size[0] - 1) / 2, (size[1] - 1) / 2))
+    mask = torch.ones(size[1], size[0], dtype=torch.bool)
+    mask[:, : size[0] // 2] = False
+    rig = Rig((pinhole,) * 2, torch.eye(4, dtype=torch.float64).expand(2, 4, 4), ("a", "b"), (mask, None))
+    scaled = rig.scaled(factor)
+    assert (scaled.cameras[0].width, scaled.cameras[0].height) == expected
+    assert scaled == rig.resized(*expected)
+    assert scaled.masks[0].shape == expected[::-1]
+    assert scaled.masks[1] is None
+    assert Rig(rig.cameras, rig.ego_from_camera, rig.names).scaled(factor).masks is None

@@ -9,7 +9,7 @@ from omniocc.errors import UserError
 from omniocc.extras.rivals import BiGrid, ChannelToHeight, CoarseToFine, Experts, Focus, SplatColoring
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model import OccupancyModel
-from omniocc.model.backbone import Backbone
+from omniocc.model.backbone import Backbone, EfficientNetLite0
 from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
     CoarseColoring,
@@ -47,7 +47,7 @@ def test_shapes_on_both_grids(geometry, make_model, images, poses, fisheye):
 def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geometry):
     model = make_model(geometry)
     options = {
-        Backbone: [make_backbone()],
+        Backbone: [make_backbone(), EfficientNetLite0(None, True, 8, [4])],
         Sketch: [Dense(geometry), Random(geometry)],
         Lifter: [
             model.lifter,

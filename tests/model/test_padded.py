@@ -80,9 +80,11 @@ def test_lifter(name, rigs):
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("system", ["default", "bevdet", "bevformer", "voxformer"])
+@pytest.mark.parametrize(
+    "system", ["default", "bevdet", "bevformer", "voxformer", "default model/backbone=efficientnet_lite0"]
+)
 def test_the_whole_model_with_a_rig_that_changes_from_frame_to_frame(system, rigs, make_ring, smoke):
-    model = build(smoke(f"model={system}", "preset.panorama.height=16").model).eval()
+    model = build(smoke(*f"model={system}".split(), "preset.panorama.height=16").model).eval()
     frames = model.temporal.frames
     windows = tuple(
         tuple(make_ring(len(rig.cameras), *size, radius_m=0.9 + 0.1 * t) for t in range(frames))

@@ -168,6 +168,7 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
         "comparison",
         "dataset",
         "distance",
+        "disturbed",
         "equal_budget",
         "equal_steps",
         "interval",

@@ -160,9 +160,11 @@ CHOICES = [
     "model=adaptiveocc",
     "model/lifter=lift_splat loss=with_coarse_ranges",
     "model/backbone=transformers",
+    "model/backbone=efficientnet_lite0",
     "model/depth=mono optimizer=adamw loss=with_frustums",
     "data=occ3d_nuscenes data.source.root=x",
     "model=fosocc",
+    "augment=disturbed +appearance=disturbed",
 ]
 
 

@@ -14,6 +14,15 @@ BESIDE = {
 """What stands beside an option here: losses of all that it predicts, where the paper's are not enough; fewer voxels."""
 
 
+WAYS = ("camera", "rig", "scale", "image")
+"""What may be wrong in a batch of `augment=disturbed`."""
+
+
+def always(way):
+    """Return the overrides with which this is wrong in every batch, and nothing else."""
+    return [f"augment.disturbances.{other}_probability={float(other == way)}" for other in WAYS]
+
+
 def make_batch(task, samples, with_candidates=True):
     """Return a batch of windows, whose newest frames are given as (scene, number)."""
     shape, frames = task.model.geometry.shape, task.model.temporal.frames

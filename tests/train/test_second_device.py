@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from batches import BESIDE, RIG, make_batch
+from batches import BESIDE, RIG, WAYS, always, make_batch
 from second_device import MixedDevicesError, SecondDevice, tagged
 from torch import nn
 
@@ -61,6 +61,13 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
 def test_every_option_trains_and_is_scored_there(option, make_task, device):
     sketch = [] if option.startswith(("model/sketch", "model=extended")) else ["model/sketch=dense"]
     task = make_task(*sketch, *option.split())
+    task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
+    train_and_test(task)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_disturbed_batches_stay_there(way, make_task, device):
+    task = make_task("model=extended", "augment=disturbed", *always(way))
     task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
     train_and_test(task)
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -26,6 +27,17 @@ def mask_cameras(rig: Rig, names: tuple[str, ...]) -> Rig:
         for camera, name, mask in zip(rig.cameras, rig.names, rig.each_mask, strict=True)
     ]
     return replace(rig, masks=tuple(masked))
+
+
+def drop_random_cameras(rig: Rig, rng: np.random.Generator, count: int) -> Rig:
+    """Return the rig without some cameras, the same ones for the same names; at least one camera stays."""
+    chosen = rng.permutation(len(rig.names))[: min(count, len(rig.names) - 1)]
+    return mask_cameras(rig, tuple(rig.names[k] for k in sorted(chosen)))
+
+
+def lost_pixels(rig: Rig, masked: Rig) -> Sequence[Bool[Tensor, "height width"]]:
+    """Return the pixels of every camera that are usable in a rig and not in the same rig with other masks."""
+    return [before & ~after for before, after in zip(usable_pixels(rig), usable_pixels(masked), strict=True)]
 
 
 @lru_cache(maxsize=8)

@@ -1,9 +1,10 @@
-"""Rigs whose calibration is wrong by an exact amount: poses and focal lengths."""
+"""Rigs whose calibration is wrong: poses and focal lengths, by an exact amount, in given or random directions."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, cast
 
+import numpy as np
 import torch
 from jaxtyping import Float64
 from torch import Tensor
@@ -13,6 +14,31 @@ from omniocc.camera.rig import Rig
 
 STEPS = 10_000
 """Factors on a focal length are rounded to multiples of 1 / STEPS."""
+
+
+def turn_cameras(rig: Rig, rng: np.random.Generator, angle_deg: float) -> Rig:
+    """Return the rig with every camera turned by an angle around a random axis of its own."""
+    return turned(rig, _directions(rig, rng), angle_deg)
+
+
+def move_cameras(rig: Rig, rng: np.random.Generator, distance_m: float) -> Rig:
+    """Return the rig with every camera moved by a distance in a random direction of its own."""
+    return displaced_rig(rig, _directions(rig, rng), distance_m)
+
+
+def scale_focal_lengths(rig: Rig, rng: np.random.Generator, percent: float) -> Rig:
+    """Return the rig with the focal length of every camera `percent` too long or too short, as likely as not.
+
+    Raises:
+        ValueError: naming the camera model whose images have no centre.
+    """
+    signs = rng.choice((-1.0, 1.0), len(rig.cameras))
+    return with_focal_factors(rig, (1 + signs * percent / 100).tolist())
+
+
+def _directions(rig: Rig, rng: np.random.Generator) -> Float64[Tensor, "N 3"]:
+    """Return a random direction for each camera, evenly spread over the sphere."""
+    return torch.from_numpy(rng.standard_normal((len(rig.cameras), 3)))
 
 
 def turned(rig: Rig, axes: Float64[Tensor, "N 3"], angle_deg: float) -> Rig:

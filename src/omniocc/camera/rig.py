@@ -22,6 +22,7 @@ Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` ma
 import dataclasses
 import difflib
 import hashlib
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -159,9 +160,24 @@ class Rig:
 
     def resized(self, width: int, height: int) -> "Rig":
         """Return the same rig with every image scaled to `width` x `height` px."""
-        cameras = tuple(camera.resized(width, height) for camera in self.cameras)
-        masks = _changed(self.masks, lambda mask: _resized_mask(mask, width, height))
-        return replace(self, cameras=cameras, masks=masks)
+        return self._with_sizes([(width, height)] * len(self.cameras))
+
+    def scaled(self, factor: float) -> "Rig":
+        """Return the same rig with every image about `factor` times as wide, with the same ratio of width to height.
+
+        Even sizes stay even. Images whose width and height have a large common divisor come nearest to the factor.
+        """
+        divisors = [math.gcd(camera.width, camera.height) for camera in self.cameras]
+        parts = [divisor if divisor % 2 else divisor // 2 for divisor in divisors]
+        steps = [max(1, round(factor * part)) for part in parts]
+        scales = zip(self.cameras, parts, steps, strict=True)
+        return self._with_sizes([(c.width // part * step, c.height // part * step) for c, part, step in scales])
+
+    def _with_sizes(self, sizes: Sequence[tuple[int, int]]) -> "Rig":
+        cameras = tuple(camera.resized(*size) for camera, size in zip(self.cameras, sizes, strict=True))
+        pairs = zip(self.each_mask, sizes, strict=True)
+        masks = tuple(None if mask is None else _resized_mask(mask, *size) for mask, size in pairs)
+        return replace(self, cameras=cameras, masks=None if self.masks is None else masks)
 
     def raised(self, height_m: float) -> "Rig":
         """Return the same cameras in an ego frame whose origin is `height_m` higher."""

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from omniocc.data.augment.appearance import Appearance
 from omniocc.data.augment.augment import Augment
+from omniocc.data.augment.disturbances import Disturbances
 from omniocc.data.augment.range_mixture import RangeMixture
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
@@ -20,6 +21,7 @@ __all__ = [
     "Augment",
     "CandidateCache",
     "DataError",
+    "Disturbances",
     "EvidenceCache",
     "Needs",
     "OccupancyData",

@@ -4,6 +4,7 @@ from typing import Any
 
 from omniocc.classes import ClassTable
 from omniocc.export.program import FrameProgram, Step, example_inputs
+from omniocc.predict.output.voxel_files import raise_grid
 
 MEANINGS = {
     "images": "RGB 0..255 of every camera in the rig's order, rows from the top; a black image marks a missing camera",
@@ -12,7 +13,7 @@ MEANINGS = {
     "world_from_ego": "poses of the past frames and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
     "ego x forward, y left, z up, origin rig.ego_origin_z_m above that of the rig file; any rigid pose where a past "
     "frame does not exist",
-    "labels": "class of every cell, see classes; axes as in grid.axes",
+    "labels": "class of every cell, see classes, also of those that no camera sees; axes as in grid.axes",
     "volume": "features of this frame, an entry of past_volumes for the next frames",
 }
 AXES = {
@@ -25,8 +26,8 @@ def contract_of(module: FrameProgram | Step, classes: ClassTable, height_m: floa
     """Return names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data.
 
     Along each axis of the grid, cell i spans low + (high - low) * [i, i + 1] / shape, with (low, high) from `bounds`.
-    The grid and the poses are in an ego frame whose origin is `height_m` above that of the rig file
-    (`ego_origin_z_m`).
+    Those bounds and the poses are in an ego frame whose origin is `height_m` above that of the rig file
+    (`ego_origin_z_m`); `bounds_in_rig_file` are the same in the frame of the rig file.
     """
     model, rig = module.model, module.rig
     grid, kind = model.geometry, type(model.geometry).__name__
@@ -54,7 +55,9 @@ def contract_of(module: FrameProgram | Step, classes: ClassTable, height_m: floa
             "axes": AXES[kind],
             "shape": list(grid.shape),
             "bounds": [list(ends) for ends in grid.bounds],
+            "bounds_in_rig_file": [list(ends) for ends in raise_grid(grid, height_m).bounds],
         },
+        "occupied_above": module.occupied_above,
         "classes": list(classes.names),
     }
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.export import ExportedProgram
@@ -21,6 +22,7 @@ from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
 from omniocc.predict.input.images import even_size
 from omniocc.predict.input.sequence import with_road
+from omniocc.predict.predictor import seen_cells
 from omniocc.predict.trained import load
 
 SUFFIXES = (".pt2", ".onnx")
@@ -29,7 +31,9 @@ SUFFIXES = (".pt2", ".onnx")
 def export_files(
     checkpoint: str, rig: Rig, output: Path, image_width: int | None = None, road_z_m: float | None = None
 ) -> str:
-    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
+    """Write the program, and beside it the description of its inputs and outputs and the cells that a camera sees.
+
+    Return a line about these files.
 
     Args:
         checkpoint: of the occupancy stage: a file, a run's folder, or the name of shipped weights.
@@ -49,7 +53,7 @@ def export_files(
     if line:
         print(f"road: {line}", file=sys.stderr, flush=True)
     rig = scale_rig(rig, image_width or trained.width_for(rig))
-    module = make_module(model, rig)
+    module = make_module(model, rig, found.occupied_above)
     print(f"tracing the network of {found.path}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)
     contract = contract_of(module, trained.classes, height_m)
@@ -57,9 +61,13 @@ def export_files(
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(found.path), "torch": torch.__version__}
     facts["frame_interval_s"] = trained.frame_interval_s
-    described = output.with_name(f"{output.name}.json")
-    atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")
-    return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
+    pose, content = torch.eye(4, dtype=torch.float64), io.BytesIO()
+    np.save(content, seen_cells(model.geometry, [(rig, pose)], pose).numpy())
+    seen, described = (output.with_name(f"{output.name}.{end}") for end in ("seen.npy", "json"))
+    atomic_write(seen, content.getbuffer())
+    atomic_write(described, json.dumps(facts | contract | {"seen": seen.name}, indent=2) + "\n")
+    size_mib = output.stat().st_size / 2**20
+    return f"{output}: {size_mib:.0f} MiB; cells that a camera sees: {seen}; inputs and outputs: {described}"
 
 
 def scale_rig(rig: Rig, width: int) -> Rig:

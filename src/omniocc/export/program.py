@@ -13,6 +13,7 @@ from omniocc.errors import UserError, first_line
 from omniocc.model import OccupancyModel
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.protocols import LearnedSketch, learns
+from omniocc.predict.predictor import decide
 
 SLOTS = ("backbone", "sketch", "lifter", "hints", "temporal", "refiner")
 
@@ -23,11 +24,12 @@ class Program(nn.Module):
     Args:
         model: in evaluation mode.
         rig: its cameras at the size of the images.
+        occupied_above: see `omniocc.predict.predictor.decide`.
     """
 
-    def __init__(self, model: OccupancyModel, rig: Rig):
+    def __init__(self, model: OccupancyModel, rig: Rig, occupied_above: float | None = None):
         super().__init__()
-        self.model, self.rig = model, rig
+        self.model, self.rig, self.occupied_above = model, rig, occupied_above
 
 
 class FrameProgram(Program):
@@ -40,7 +42,7 @@ class FrameProgram(Program):
         lifted = self.model.lift(images[None], (self.rig,))
         known = self.model.compute_hints(lifted, (self.rig,))
         logits, _ = self.model.fuse([lifted.volume], pose, there, lifted.sketched, known)
-        return logits.argmax(1)[0].to(torch.uint8)
+        return decide(logits[0], self.occupied_above)[0]
 
 
 class Step(Program):
@@ -68,12 +70,13 @@ class Step(Program):
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
         volumes = [*past_volumes.split(1), lifted.volume]
         logits, _ = self.model.fuse(volumes, world_from_ego[None], exists, lifted.sketched, known)
-        return logits.argmax(1)[0].to(torch.uint8), lifted.volume[0]
+        return decide(logits[0], self.occupied_above)[0], lifted.volume[0]
 
 
-def make_module(model: OccupancyModel, rig: Rig) -> FrameProgram | Step:
+def make_module(model: OccupancyModel, rig: Rig, occupied_above: float | None = None) -> FrameProgram | Step:
     """Return the program of a model, with or without history; freeze the model in evaluation mode."""
-    return (FrameProgram if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
+    kind = FrameProgram if model.temporal.frames == 1 else Step
+    return kind(model.eval().requires_grad_(False), rig, occupied_above)
 
 
 def example_inputs(module: FrameProgram | Step) -> tuple[Tensor, ...]:

@@ -209,7 +209,8 @@ def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> 
         if road_z_m is None or trained_z_m is None:
             continue
         if abs(road_z_m - trained_z_m) >= SAME_HEIGHT_M:
-            remedy = "; record it with an origin as high" if "log" in one.scene.meta.get("facts", {}) else ""
+            of_log = "log" in one.scene.meta.get("facts", {})
+            remedy = f"; record it with recorder.origin_above_road_m={-trained_z_m:g}" if of_log else ""
             return [
                 f"road      {-road_z_m:g} m below the origin of {one.name}, {-trained_z_m:g} m in the training: "
                 f"expect wrong voxels{remedy}"

@@ -12,7 +12,7 @@ from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError, first_line
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
-from omniocc.model.protocols import Lifter
+from omniocc.model.protocols import Lifter, takes_true_range
 from omniocc.parts import Parts
 from omniocc.runs.machine import memory_bytes
 from omniocc.train.occupancy import OccupancyTask
@@ -107,6 +107,11 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
             "give false for a lifter without this key"
         )
     model = parts.model() if trained is None else trained
+    if parts.cfg.augment.get("disturbances") and takes_true_range(model.sketch):
+        raise UserError(
+            "augment=disturbed: the ranges of model/depth=truth are the recorded ones, which nothing disturbs; choose "
+            "another model/depth, or augment=default"
+        )
     config = parts.config
     factors = config.get("lr_multipliers") or {}  # checkpoints of older versions have none
     seed = OmegaConf.select(parts.cfg, "stages.occupancy.seed", default=config["seed"])

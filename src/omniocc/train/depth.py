@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torchmetrics import CatMetric, MeanMetric
 
 from omniocc.batch import Batch
-from omniocc.data import Appearance
+from omniocc.data import Appearance, Disturbances
 from omniocc.metric import CalibrationError, DepthMetrics
 from omniocc.model.depth import DepthMap, Spheres
 from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
@@ -31,7 +31,7 @@ class DepthTask(StageTask[nn.Module]):
         spheres: of the rig, for errors in indices; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
-        appearance: changes of the training images; None: as they are.
+        appearance: changes of the training batches; None: as they are.
     """
 
     STAGE = "depth"
@@ -44,7 +44,7 @@ class DepthTask(StageTask[nn.Module]):
         range_edges_m: Sequence[float],
         seed: int,
         config: dict[str, Any],
-        appearance: Appearance | None = None,
+        appearance: Appearance | Disturbances | None = None,
     ):
         super().__init__(model, optimizer, config)
         self.seed, self.appearance = seed, appearance
@@ -54,11 +54,11 @@ class DepthTask(StageTask[nn.Module]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the model's own loss terms; each is logged by name."""
-        images = to_unit_range(batch.images[:, -1])
-        ranges = batch.erp_range_m, batch.camera_range_m
         generator = step_generator(self, self.seed, batch_index)
         if self.appearance is not None:
-            images = self.appearance(images, batch.image_mask()[:, -1], generator)
+            batch = self.appearance(batch, generator)
+        images = to_unit_range(batch.images[:, -1])
+        ranges = batch.erp_range_m, batch.camera_range_m
         terms = self.model.weighted_losses(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 

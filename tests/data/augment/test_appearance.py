@@ -1,6 +1,8 @@
 import pytest
 import torch
 
+from omniocc.batch import Batch
+from omniocc.camera import Rig
 from omniocc.data import Appearance
 from omniocc.data.augment.appearance import _jpeg, missing_ones
 from omniocc.data.augment.degrade import compress_jpeg
@@ -17,7 +19,7 @@ def images():
 
 
 def changed(seed=0, **limits):
-    return Appearance(**(OFF | limits))(images(), MASK, torch.Generator().manual_seed(seed))
+    return Appearance(**(OFF | limits)).change(images(), MASK, torch.Generator().manual_seed(seed))
 
 
 def test_off_changes_nothing():
@@ -52,6 +54,20 @@ def test_grey_rigs_have_equal_channels():
     assert torch.allclose(result[:, :, 0], result[:, :, 2], atol=1e-3)
 
 
+def test_all_frames_of_a_window_change_alike_and_a_single_one_as_its_images_do():
+    rig = Rig.load("fisheye6").resized(32, 18)
+    batch = Batch((images()[:, :, :, :18] * 255).byte()[:, None], ((rig,),) * 2, torch.eye(4)[None, None], ("a", "b"))
+    batch = batch._replace(images=batch.images.repeat(1, 1, 2, 1, 1, 1)[:, :, :6])
+    change = Appearance(**(OFF | {"exposure": 1.0, "noise": 0.1, "missing": 1.0}))
+    alone = change(batch, torch.Generator().manual_seed(3)).images
+    expected = change.change(batch.images[:, 0] / 255, batch.image_mask()[:, 0], torch.Generator().manual_seed(3))
+    assert torch.equal(alone[:, 0], expected)
+    window = batch._replace(images=batch.images.expand(-1, 3, -1, -1, -1, -1), rigs=((rig,) * 3,) * 2)
+    generator = torch.Generator().manual_seed(3)
+    assert torch.equal(change(window, generator).images, alone.expand(-1, 3, -1, -1, -1, -1))
+    assert not torch.equal(generator.get_state(), torch.Generator().manual_seed(3).get_state())
+
+
 def test_at_most_one_camera_of_three_or_more_is_lost():
     mask = MASK.clone()
     mask[1, 2:] = False
@@ -66,7 +82,7 @@ def test_padding_and_black_pictures_stay_black():
     mask[0, 1, :, 20:], mask[1, 3] = False, False
     given[1, 0] = 0
     everything = {name: 0.5 for name in OFF if name != "missing"}
-    result = Appearance(**(OFF | everything))(given * mask[:, :, None], mask, torch.Generator().manual_seed(0))
+    result = Appearance(**(OFF | everything)).change(given * mask[:, :, None], mask, torch.Generator().manual_seed(0))
     assert not result[0, 1, :, :, 20:].any()
     assert not result[1, 3].any()
     assert not result[1, 0].any()

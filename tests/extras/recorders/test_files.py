@@ -196,6 +196,35 @@ def test_images_of_another_size_and_some_cameras(recorder, original, tmp_path):
     assert scene.rig.road_z_m == spec_of(scene).road_z_m == -1.5
 
 
+def test_rigs_at_other_heights_get_one_origin_above_the_road(recorder, original, tmp_path):
+    """The log has the road 2.2 m below its origin; recorded 1.3 m below, all lies .9 m higher."""
+    options, raised_m = (lidar_option("npz", CLASSES), "panorama=[90,24,45.0,-45.0]"), -2.2 + 1.3
+    before = record(recorder, tmp_path / "as_it_is", *options)
+    scene = record(recorder, tmp_path / "raised", *options, "origin_above_road_m=1.3")
+    assert scene.rig.road_z_m == spec_of(scene).road_z_m == -1.3
+    assert scene.rig == replace(before.rig.raised(raised_m), road_z_m=-1.3)
+    expected = before.world_from_ego @ shift(0.0, 0.0, raised_m)
+    np.testing.assert_allclose(scene.world_from_ego, expected, atol=1e-9)
+    for frame in range(len(scene)):
+        grid = replace(GRID, height_m=tuple(z_m + raised_m for z_m in GRID.height_m))
+        ours, theirs = vote(scene, frame, GRID), vote(before, frame, grid)
+        assert (ours == theirs)[(ours > 0) | (theirs > 0)].float().mean() > 0.99
+        points_m = before.points(frame).points_m - np.float32([0, 0, raised_m])
+        around, found = (
+            onto_panorama(points_m, None, Equirectangular(90, 24, 45.0, -45.0)).range_m,
+            scene.erp_range_m(frame),
+        )
+        both = np.isfinite(around) & np.isfinite(found)
+        assert both.sum() > 0.9 * np.isfinite(found).sum()
+        assert (np.abs(around - found)[both] < 0.1).mean() > 0.95
+    same = record(recorder, tmp_path / "raised", *options, "origin_above_road_m=1.3")
+    assert same.meta["facts"]["recipe"] == scene.meta["facts"]["recipe"] != before.meta["facts"]["recipe"]
+    on_the_road = record(recorder, tmp_path / "base", "road_z_m=0", "origin_above_road_m=2.2")
+    assert on_the_road.rig.road_z_m == -2.2
+    with pytest.raises(ValueError, match="origin_above_road_m is -1; it must be above 0"):
+        recorder("origin_above_road_m=-1")
+
+
 def kitti(log, original):
     rows = original.world_from_ego[:, :3].reshape(-1, 12)
     (log / "poses.txt").write_text("\n".join(" ".join(map(repr, row)) for row in rows.tolist()))

@@ -6,7 +6,8 @@ import pytest
 import torch
 from fake_source import FRAMES, FakeFrames
 
-from omniocc.camera.masks import usable_pixels
+from omniocc.camera.masks import drop_random_cameras, usable_pixels
+from omniocc.camera.miscalibrated import move_cameras, scale_focal_lengths, turn_cameras
 from omniocc.data.source import SceneFrames
 from omniocc.extras.robustness import disturbance as kinds
 from omniocc.extras.robustness.disturbance import (
@@ -22,8 +23,8 @@ from omniocc.extras.robustness.disturbance import (
 NOISE = Disturbance(images=partial(kinds.noise, percent=5), each_frame=True)
 DROPS = Disturbance(images=partial(kinds.drops_on_one_lens, percent=30))
 DIRT = Disturbance(images=partial(kinds.dirt_on_one_lens, percent=30))
-TURN = Disturbance(partial(kinds.turn_cameras, angle_deg=1.0))
-TWO = Disturbance(partial(kinds.drop_random_cameras, count=2))
+TURN = Disturbance(partial(turn_cameras, angle_deg=1.0))
+TWO = Disturbance(partial(drop_random_cameras, count=2))
 SEEN = np.zeros((72, 128), bool)
 SEEN[:, 16:112] = True
 IMAGE = np.random.default_rng(0).integers(0, 256, (72, 128, 3), dtype=np.uint8) * SEEN[..., None]
@@ -96,19 +97,19 @@ def test_dropped_cameras_are_black_and_masked(scene):
         masked = [not mask.any() for mask in usable_pixels(frames.rigs[frame])]
         assert dark == masked
         assert sum(dark) == 2
-    one = Disturbance(partial(kinds.drop_random_cameras, count=9))
+    one = Disturbance(partial(drop_random_cameras, count=9))
     assert sum(image.any() for image in disturb_scene(scene, one, "nine", 0).images(0)) == 1
 
 
 def test_focal_lengths_are_too_long_and_too_short(scene):
-    wrong = disturb_scene(scene, Disturbance(partial(kinds.scale_focal_lengths, percent=3)), "focal", 0)
+    wrong = disturb_scene(scene, Disturbance(partial(scale_focal_lengths, percent=3)), "focal", 0)
     pairs = zip(scene.rigs[0].cameras, wrong.rigs[0].cameras, strict=True)
     ratios = [other.focal_px[0] / true.focal_px[0] for true, other in pairs]
     assert all(abs(ratio - 1) == pytest.approx(0.03) for ratio in ratios)
 
 
 def test_cameras_are_moved_by_this_distance(scene):
-    wrong = disturb_scene(scene, Disturbance(partial(kinds.move_cameras, distance_m=0.1)), "moved", 0)
+    wrong = disturb_scene(scene, Disturbance(partial(move_cameras, distance_m=0.1)), "moved", 0)
     shift = wrong.rigs[1].ego_from_camera[:, :3, 3] - scene.rigs[1].ego_from_camera[:, :3, 3]
     torch.testing.assert_close(shift.norm(dim=1), torch.full((4,), 0.1, dtype=torch.float64))
 

@@ -35,6 +35,7 @@ SIZES = {
         "mirror": False,
     },
 }
+SIZES["Centred"] = SIZES["OmniMVS"]
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from omniocc.batch import Batch
 from omniocc.data.augment import degrade
 from omniocc.data.augment.image import LUMINANCE, uniform
 
@@ -57,7 +58,16 @@ class Appearance:
             if not 0 <= value <= most:
                 raise ValueError(f"{name} is {value}; it must be from 0 (off) to {most:g}")
 
-    def __call__(self, images: Images, mask: Bool[Tensor, "B N H W"], generator: torch.Generator) -> Images:
+    def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
+        """Return a batch whose images are changed, and floats in [0, 1]; all frames of a window in the same way."""
+        images, mask = batch.images.float() / 255, batch.image_mask()
+        state, changed = generator.get_state(), []
+        for frame in range(images.shape[1]):
+            generator.set_state(state)
+            changed.append(self.change(images[:, frame], mask[:, frame], generator))
+        return batch._replace(images=torch.stack(changed, 1))
+
+    def change(self, images: Images, mask: Bool[Tensor, "B N H W"], generator: torch.Generator) -> Images:
         """Return changed images in [0, 1]; padding (where `mask` is false) and images that are missing stay black.
 
         All draws are from `generator`, on the CPU.

@@ -14,6 +14,7 @@ from omniocc.bounds import Degrees
 from omniocc.camera import Rig
 from omniocc.camera.models.mirrored import mirrored
 from omniocc.classes import UNKNOWN
+from omniocc.data.augment.disturbances import Disturbances
 from omniocc.data.augment.image import erase, jitter
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
@@ -184,6 +185,7 @@ class Augment:
         flip_probability: that a scene is mirrored left to right.
         yaw_probability: that a scene is turned about the vertical axis, by any step that takes cells to cells.
         drop_past_probability: that a past frame counts as not recorded, which saves its cost.
+        disturbances: what is wrong in some batches, before all other changes; None: nothing.
 
     Raises:
         ValueError: for a value that is no probability or fraction, or an empty range.
@@ -202,6 +204,7 @@ class Augment:
         flip_probability: float,
         yaw_probability: float,
         drop_past_probability: float,
+        disturbances: Disturbances | None = None,
     ):
         fractions = {
             "erase_probability": erase_probability,
@@ -223,9 +226,12 @@ class Augment:
         self.colors = (brightness, contrast, saturation, hue_deg)
         self.flip_probability, self.yaw_probability = flip_probability, yaw_probability
         self.drop_past_probability = drop_past_probability
+        self.disturbances = disturbances
 
     def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
         """Return a changed batch, which depends on the state of `generator` (on the CPU), not on the batch's device."""
+        if self.disturbances is not None:  # first: focal lengths of mirrored cameras cannot be changed
+            batch = self.disturbances(batch, generator)
         if self.flip_probability or self.yaw_probability:
             batch = change_scenes(batch, self.geometry, self._draw_changes(batch, generator))
         if self.drop_past_probability:

@@ -70,6 +70,7 @@ class RosBag(LogRecorder):
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
         image_size: see `SceneOptions`, as `panorama`, `road_z_m` and `moving`.
         image_bits: how many of the bits of images of 16 are used; None: not known.
+        origin_above_road_m: see `LogRecorder`.
 
     Raises:
         ValueError: naming the option that is impossible.
@@ -96,11 +97,13 @@ class RosBag(LogRecorder):
         road_z_m: float | None,
         moving: bool | None,
         image_bits: int | None = None,
+        origin_above_road_m: float | None = None,
     ):
         super().__init__(
             name,
             Timing(reference, limit_s, interval_s, pose_gap_s),
             SceneOptions(image_size, panorama, road_z_m, moving),
+            origin_above_road_m,
         )
         self.bag, self.rig_file, self.depth = Path(bag), rig, Depth(image_bits, "recorder.image_bits")
         if not cameras:

@@ -1,7 +1,7 @@
 """A log, and the choice of its samples that make the frames of a scene."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
-from omniocc.data.formats.poses import inverse
+from omniocc.data.formats.poses import inverse, shift
 from omniocc.data.source import Points
 from omniocc.errors import UserError
 from omniocc.extras.recorders.streams import MISSING, gap_s, interpolate, lacking, nearest, paced
@@ -62,6 +62,30 @@ class Log:
     scans: Scans | None
     facts: Mapping[str, Any]
     inputs: Sequence[Any] = ()
+
+
+def at_height(log: Log, above_m: float, road_z_m: float) -> Log:
+    """Return the log in an ego frame whose origin is `above_m` above the road: rig, poses and points.
+
+    Args:
+        log: in the ego frame of its rig.
+        above_m: above 0.
+        road_z_m: height of the road in that frame, m.
+    """
+    height_m, scans = road_z_m + above_m, log.scans
+
+    def read(number: int) -> Points:
+        assert scans is not None
+        points = scans.read(number)
+        return points._replace(points_m=points.points_m - np.array([0, 0, height_m], np.float32))
+
+    return replace(
+        log,
+        # exactly this height, since scenes of a folder have to agree
+        rig=replace(replace(log.rig, road_z_m=None).raised(height_m), road_z_m=-above_m),
+        world_from_ego=log.world_from_ego @ shift(0.0, 0.0, height_m),
+        scans=None if scans is None else replace(scans, read=read),
+    )
 
 
 class Timing(NamedTuple):

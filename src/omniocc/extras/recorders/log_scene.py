@@ -24,7 +24,7 @@ from omniocc.data.store.meta import append_frame, finish_scene, panorama_of, rec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
-from omniocc.extras.recorders.log import Log, Plan, Timing, check_timing, missing_lines, plan_frames
+from omniocc.extras.recorders.log import Log, Plan, Timing, at_height, check_timing, missing_lines, plan_frames
 from omniocc.io import checked_name
 from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
@@ -58,13 +58,18 @@ class LogRecorder(ABC):
         name: name of the scene and of its folder.
         timing: which samples make a frame.
         options: facts that no file of the log gives.
+        origin_above_road_m: height of the recorded ego origin above the road, m; None: the origin stays that of the
+            rig, the poses and the points.
 
     Raises:
         ValueError: naming the option that is impossible.
     """
 
-    def __init__(self, name: str, timing: Timing, options: SceneOptions):
+    def __init__(self, name: str, timing: Timing, options: SceneOptions, origin_above_road_m: float | None):
         self.name, self.timing, self.options = check_name(name), check_timing(timing), options
+        if origin_above_road_m is not None and not origin_above_road_m > 0:
+            raise ValueError(f"origin_above_road_m is {origin_above_road_m}; it must be above 0")
+        self.origin_above_road_m = origin_above_road_m
         panorama_of(options.panorama)
 
     @abstractmethod
@@ -82,7 +87,11 @@ class LogRecorder(ABC):
             UserError, DataError: naming the option, file or message that cannot be used.
         """
         with self.open() as log:
-            return [record_log(log, Path(root) / self.name, self.timing, self.options)]
+            options = self.options
+            if self.origin_above_road_m is not None:
+                log = at_height(log, self.origin_above_road_m, road_of(log.rig, options))
+                options = options._replace(road_z_m=None)
+            return [record_log(log, Path(root) / self.name, self.timing, options)]
 
 
 def record_log(log: Log, folder: Path, timing: Timing, options: SceneOptions) -> Path:
@@ -205,11 +214,16 @@ def _hash_recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, options: SceneO
     return digest([*parts, repr(settings), [] if log.scans is None else log.scans.classes.to_dict()])
 
 
-def _scale_rig(rig: Rig, options: SceneOptions) -> Rig:
+def road_of(rig: Rig, options: SceneOptions) -> float:
+    """Return the height of the road in the ego frame, m; raise UserError if neither options nor rig state it."""
     road_z_m = rig.road_z_m if options.road_z_m is None else options.road_z_m
     if road_z_m is None:
         raise UserError("the height of the road is not known: give road_z_m, m, in the ego frame, or in the rig file")
-    first = rig.cameras[0]
+    return road_z_m
+
+
+def _scale_rig(rig: Rig, options: SceneOptions) -> Rig:
+    road_z_m, first = road_of(rig, options), rig.cameras[0]
     width, height = (first.width, first.height) if options.image_size is None else map(int, options.image_size)
     try:
         scaled = rig.resized(width, height)

@@ -1,4 +1,4 @@
-"""The kinds of disturbances, as functions of a rig or of a frame's images, and scenes with one of them.
+"""The kinds of disturbances of a frame's images, and scenes with one of these or of another rig.
 
 The true labels stay as they are.
 """
@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float32, Int64
 
 from omniocc import seeding
 from omniocc.camera import Rig
-from omniocc.camera.masks import mask_cameras, usable_pixels
-from omniocc.camera.miscalibrated import displaced_rig, turned, with_focal_factors
+from omniocc.camera.masks import lost_pixels
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.data.augment.degrade import Image, add_noise, blur
 from omniocc.data.source import SceneFrames
@@ -45,28 +44,6 @@ class Disturbance(NamedTuple):
     rig: RigChange | None = None
     images: ImageChange | None = None
     each_frame: bool = False
-
-
-def turn_cameras(rig: Rig, rng: np.random.Generator, angle_deg: float) -> Rig:
-    """Return the rig with every camera turned by an angle around a random axis of its own."""
-    return turned(rig, _directions(rig, rng), angle_deg)
-
-
-def move_cameras(rig: Rig, rng: np.random.Generator, distance_m: float) -> Rig:
-    """Return the rig with every camera moved by a distance in a random direction of its own."""
-    return displaced_rig(rig, _directions(rig, rng), distance_m)
-
-
-def scale_focal_lengths(rig: Rig, rng: np.random.Generator, percent: float) -> Rig:
-    """Return the rig with the focal length of every camera `percent` too long or too short, as likely as not."""
-    signs = rng.choice((-1.0, 1.0), len(rig.cameras))
-    return with_focal_factors(rig, (1 + signs * percent / 100).tolist())
-
-
-def drop_random_cameras(rig: Rig, rng: np.random.Generator, count: int) -> Rig:
-    """Return the rig without some cameras, the same ones for the same names; at least one camera stays."""
-    chosen = rng.permutation(len(rig.names))[: min(count, len(rig.names) - 1)]
-    return mask_cameras(rig, tuple(rig.names[k] for k in sorted(chosen)))
 
 
 def every_image(
@@ -101,11 +78,6 @@ def lens_circle(rig: Rig, camera: int) -> Bool[np.ndarray, "H W"]:
     """Return the pixels of a camera that its lens sees, the own car included."""
     model = rig.cameras[camera]
     return model.unproject(pixel_centers(model.width, model.height, torch.float64))[1].numpy()
-
-
-def _directions(rig: Rig, rng: np.random.Generator) -> torch.Tensor:
-    """Return a random direction for each camera, (N, 3), evenly spread over the sphere."""
-    return torch.from_numpy(rng.standard_normal((len(rig.cameras), 3)))
 
 
 def disturb_scene(scene: SceneFrames, disturbance: Disturbance, name: str, seed: int) -> SceneFrames:
@@ -158,8 +130,7 @@ class DisturbedScene:
 
 def blackened(images: Sequence[Image], rig: Rig, masked: Rig) -> list[Image]:
     """Return images that are black where `masked` allows no pixel and `rig` does."""
-    triples = zip(images, usable_pixels(rig), usable_pixels(masked), strict=True)
-    lost = ((image, before & ~after) for image, before, after in triples)
+    lost = zip(images, lost_pixels(rig, masked), strict=True)
     return [image if not bool(torch.any(gone)) else image * ~gone.numpy()[..., None] for image, gone in lost]
 
 

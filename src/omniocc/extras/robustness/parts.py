@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.camera.masks import mask_cameras, mask_view
+from omniocc.camera.masks import drop_random_cameras, mask_cameras, mask_view
+from omniocc.camera.miscalibrated import move_cameras, scale_focal_lengths, turn_cameras
 from omniocc.data.augment.degrade import Image, blur, change_exposure, compress_jpeg
 from omniocc.errors import UserError
 from omniocc.extras.robustness import disturbance as kinds
@@ -80,7 +81,7 @@ def camera_parts(cameras: Sequence[str]) -> list[Part]:
         if len(cameras) > 1
     ]
     if len(cameras) > 2:
-        two = Disturbance(partial(kinds.drop_random_cameras, count=2))
+        two = Disturbance(partial(drop_random_cameras, count=2))
         dropped.append(Part("two_cameras_dropped", "two_cameras_dropped", two))
     views = [
         Part(f"view_{deg}_deg", "view", Disturbance(partial(_rig, change=partial(mask_view, view_deg=float(deg)))))
@@ -92,9 +93,9 @@ def camera_parts(cameras: Sequence[str]) -> list[Part]:
 def calibration_parts() -> list[Part]:
     """Return the parts in which poses and focal lengths are not what the system believes."""
     kinds_of = {
-        "extrinsics_{:g}_deg": ("extrinsics_deg", kinds.turn_cameras, "angle_deg", EXTRINSICS_DEG, 1.0),
-        "extrinsics_{:g}_cm": ("extrinsics_cm", kinds.move_cameras, "distance_m", EXTRINSICS_CM, 0.01),
-        "focal_{:g}_percent": ("focal", kinds.scale_focal_lengths, "percent", FOCAL_PERCENT, 1.0),
+        "extrinsics_{:g}_deg": ("extrinsics_deg", turn_cameras, "angle_deg", EXTRINSICS_DEG, 1.0),
+        "extrinsics_{:g}_cm": ("extrinsics_cm", move_cameras, "distance_m", EXTRINSICS_CM, 0.01),
+        "focal_{:g}_percent": ("focal", scale_focal_lengths, "percent", FOCAL_PERCENT, 1.0),
     }
     return [
         Part(name.format(strength), group, Disturbance(partial(change, **{argument: strength * unit})))

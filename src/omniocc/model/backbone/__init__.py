@@ -1,7 +1,8 @@
 """Backbone slot: image features."""
 
+from omniocc.model.backbone.efficientnet_lite0 import EfficientNetLite0
 from omniocc.model.backbone.resnet import ResNet
 from omniocc.model.backbone.transformers import Transformers
 from omniocc.model.protocols import Backbone
 
-__all__ = ["Backbone", "ResNet", "Transformers"]
+__all__ = ["Backbone", "EfficientNetLite0", "ResNet", "Transformers"]

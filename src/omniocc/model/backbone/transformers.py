@@ -5,12 +5,11 @@ from typing import Any, ClassVar
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn import functional as F
 from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
 from omniocc.bounds import Size
-from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, require_equal
+from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, on_padded, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224  # a multiple of 14 and 32, so that strides of 4 to 32 px and patches of 14 px divide it
@@ -56,15 +55,13 @@ class Transformers(nn.Module):
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Return feature maps of RGB in [0, 1], finest first."""
-        height, width = images.shape[-2:]
-        coarsest = self.strides[-1]
-        padded = F.pad(self.normalize(images), (0, -width % coarsest, 0, -height % coarsest))
-        all_maps = self.encoder(padded).feature_maps
-        maps = [
-            all_maps[stage][..., : -(-height // stride), : -(-width // stride)]
-            for stage, stride in zip(self.stages, self.strides, strict=True)
-        ]
+        maps = on_padded(self._maps, self.normalize(images), self.strides)
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(maps)]
+
+    def _maps(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
+        """Return the deepest map of every stride."""
+        maps = self.encoder(images).feature_maps
+        return [maps[stage] for stage in self.stages]
 
 
 def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:

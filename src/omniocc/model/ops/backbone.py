@@ -1,10 +1,10 @@
-"""Weights of the Hugging Face hub, if available, the normalisation of their images, and a feature pyramid."""
+"""Weights of the Hugging Face hub, if available, normalisation and padding of images, and a feature pyramid."""
 
 import logging
 import os
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import torch
@@ -29,20 +29,22 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 class Normalize(nn.Module):
-    """Normalise RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet.
+    """Subtract a mean from RGB in [0, 1] and divide by a deviation.
 
     Args:
         encoder: the network that gets the images. Channels last in memory are faster, but not safe for all networks.
+        mean: of each colour; that of ImageNet unless told.
+        std: the same of the deviation.
     """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(self, encoder: nn.Module):
+    def __init__(self, encoder: nn.Module, mean: Sequence[float] = MEAN, std: Sequence[float] = STD):
         super().__init__()
         self.memory_format = torch.channels_last if survives_channels_last(encoder) else torch.contiguous_format
-        self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
+        self.register_buffer("mean", torch.tensor(mean).view(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(std).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> Float[Tensor, "BN 3 H W"]:
         """Return images of all cameras as one batch."""
@@ -62,6 +64,28 @@ def survives_channels_last(network: nn.Module) -> bool:
         and layer.in_channels < ONEDNN_BLOCK
         for layer in network.modules()
     )
+
+
+def on_padded(
+    network: Callable[[Float[Tensor, "B 3 _ _"]], Sequence[Float[Tensor, "B _ _ _"]]],
+    images: Float[Tensor, "B 3 H W"],
+    strides: Sequence[int],
+) -> list[Float[Tensor, "B _ _ _"]]:
+    """Return maps of a network that needs sizes of images which the coarsest stride divides.
+
+    Images are padded by zeros at the right and at the bottom, maps are cropped to ceil(size / stride).
+
+    Args:
+        network: computes the maps.
+        images: of any size.
+        strides: of the maps, px, finest first.
+    """
+    height, width = images.shape[-2:]
+    padded = F.pad(images, (0, -width % strides[-1], 0, -height % strides[-1]))
+    return [
+        level[..., : -(-height // stride), : -(-width // stride)]
+        for level, stride in zip(network(padded), strides, strict=True)
+    ]
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:

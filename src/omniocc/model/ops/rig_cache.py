@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from omniocc.camera import Rig
+from omniocc.model.ops.static import is_static
 
 LIMIT_BYTES = 2 << 30
 """Limit of the memory of all results: 40 rigs of the largest option (`omnimvs`) at preset=tiny."""
@@ -51,7 +52,9 @@ class RigCache:
             newest = next(reversed(self._rigs), rig)
             results = self._rigs.setdefault(rig, {})
             self._rigs.move_to_end(rig)
-            if newest != rig:  # its results may have grown since the last was added (`Sampler.transpose`)
+            # its results may have grown since the last was added (`Sampler.transpose`), but not in an export, which
+            # cannot look into sparse matrices
+            if newest != rig and not is_static():
                 self._bytes[newest] = self._size_bytes(newest)
             if key not in results:
                 with torch.inference_mode(False):  # training may use them as well

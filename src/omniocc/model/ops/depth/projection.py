@@ -91,8 +91,9 @@ class Sampler:
         """Return `matrix @ rows`, or `less - matrix @ rows` in place."""
         if not is_static():
             return product(self.matrix, rows, less)
-        # exported programs have no sparse matrices
-        sums = bag_sum(self.columns, rows, self.first, self.values)
+        # exported programs have no sparse matrices, and files of them no empty constants
+        shape = len(self.first), rows.shape[1]
+        sums = bag_sum(self.columns, rows, self.first, self.values) if len(self.columns) else rows.new_zeros(shape)
         return sums if less is None else less - sums
 
 

@@ -1,0 +1,105 @@
+"""The nearest of points in each pixel of a panorama, and ranges around another origin."""
+
+import math
+
+import pytest
+import torch
+
+from omniocc.camera import Equirectangular
+from omniocc.model.depth import SphereRange
+from omniocc.model.ops.depth.depth_map import from_index
+from omniocc.model.ops.depth.z_buffer import draw_front, reproject
+
+INF = float("inf")
+PANORAMA = Equirectangular(16, 5, 45.0, -45.0)
+
+
+def looped(points_m, value, drawn):
+    """Nearest point per pixel, then weighted means over the points of that surface, point by point."""
+    places, nearest = [], {}
+    for (x, y, z), counts in zip(points_m.tolist(), drawn.tolist(), strict=True):
+        column = (math.pi - math.atan2(y, x)) / (2 * math.pi) * 16 - 0.5
+        row = (45 - math.degrees(math.atan2(z, math.hypot(x, y)))) / 90 * 5 - 0.5
+        range_m = math.sqrt(x * x + y * y + z * z)
+        places.append((column, row, range_m, counts and -0.5 <= row <= 4.5))
+        if places[-1][-1]:
+            key = (round(row), round(column) % 16)
+            nearest[key] = min(nearest.get(key, INF), range_m)
+    ranges, values = torch.full((5, 16), INF, dtype=torch.float64), torch.zeros(5, 16, dtype=torch.float64)
+    for (row, column), front in nearest.items():
+        weight = inverse = total = 0.0
+        for (x, y, range_m, counts), each in zip(places, value.tolist(), strict=True):
+            gap = abs((x - column + 8) % 16 - 8)
+            part = max(0, 1 - gap) * max(0, 1 - abs(y - row)) * (counts and range_m <= 1.5 * front)
+            weight, inverse, total = weight + part, inverse + part / range_m, total + part * each
+        ranges[row, column], values[row, column] = weight / inverse, total / weight
+    return ranges, values
+
+
+def test_front_of_each_pixel():
+    torch.manual_seed(0)
+    points_m = 4 * torch.randn(2, 300, 3, dtype=torch.float64)
+    value, drawn = torch.rand(2, 300, dtype=torch.float64), torch.rand(2, 300) < 0.8
+    front, values = draw_front(points_m, value, drawn, PANORAMA)
+    for sample in range(2):
+        expected, expected_values = looped(points_m[sample], value[sample], drawn[sample])
+        torch.testing.assert_close(front[sample], expected)
+        torch.testing.assert_close(values[sample], expected_values)
+    assert front.isinf().any()
+
+
+def test_slanted_ground_is_not_too_near():
+    # a plane 2 m below, by many points in each pixel: the nearest of them would be up to half a pixel too near
+    pixels = torch.stack(torch.meshgrid(torch.arange(0, 16, 0.1), torch.arange(3, 4.5, 0.1), indexing="xy"), -1)
+    rays = PANORAMA.unproject(pixels.double())[0]
+    points_m = (rays * (-2 / rays[..., 2:])).reshape(1, -1, 3)
+    front, _ = draw_front(points_m, torch.ones(1, len(points_m[0])), torch.ones(1, len(points_m[0])) > 0, PANORAMA)
+    expected_m = 2 / math.sin(math.radians(36))
+    assert front[0, 4].tolist() == pytest.approx([expected_m] * 16, rel=0.06)
+    assert points_m.norm(dim=-1).view(15, 160)[5:].amin().item() < 0.9 * expected_m
+
+
+def test_straight_behind():
+    nearest, _ = draw_front(torch.tensor([[[-2.0, 0.0, 0.0]]]), torch.ones(1, 1), torch.tensor([[True]]), PANORAMA)
+    assert nearest[0, 2, 0] == 2 or nearest[0, 2, 15] == 2
+
+
+def box_around(panorama, low_m, high_m):
+    """Return the range in every direction of the walls of an upright box around the origin, with floor and ceiling."""
+    rays = panorama.rays().double()
+    to_wall_m = torch.where(rays > 0, torch.tensor(high_m).double() / rays, torch.tensor(low_m).double() / rays)
+    return to_wall_m.amin(-1)
+
+
+def test_ranges_around_a_lower_origin_are_those_of_the_same_walls(rig):
+    panorama = Equirectangular(128, 96, 90.0, -90.0)
+    spheres = SphereRange(64, 0.5).of(rig, panorama)
+    low, high = (-6.0, -5.0, -2.0), (7.0, 9.0, 8.0)
+    raised_m = 0.75
+    around = box_around(panorama, low, high)[None].float()
+    confidence = torch.rand(1, 96, 128)
+    depth = from_index(spheres.index(around), torch.ones_like(around) > 0, confidence, spheres)
+    moved = reproject(depth, panorama, spheres, raised_m)
+    lower = (*low[:2], low[2] + raised_m), (*high[:2], high[2] + raised_m)
+    expected = box_around(panorama, *lower)[None].float()
+    assert moved.valid.float().mean() > 0.9
+    wrong = (moved.range_m / expected - 1).abs()[moved.valid]
+    assert wrong.median() < 0.01
+    assert wrong.quantile(0.95) < 0.03
+    assert (depth.range_m / expected - 1).abs().median() > 0.05  # they were others around the old origin
+    torch.testing.assert_close(moved.range_m, spheres.range_m(moved.index))
+    unmoved = reproject(depth, panorama, spheres, 0.0)
+    torch.testing.assert_close(unmoved.range_m, depth.range_m, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(unmoved.confidence, confidence, rtol=1e-3, atol=1e-3)
+
+
+def test_what_is_not_valid_is_not_drawn(rig):
+    panorama = Equirectangular(32, 16, 90.0, -90.0)
+    spheres = SphereRange(16, None).of(rig, panorama)
+    valid = torch.zeros(1, 16, 32, dtype=torch.bool)
+    valid[0, 8, 5] = True
+    depth = from_index(torch.full((1, 16, 32), 3.0), valid, torch.full((1, 16, 32), 0.5), spheres)
+    moved = reproject(depth, panorama, spheres, 0.0)
+    assert moved.valid.nonzero().tolist() == [[0, 8, 5]]
+    assert moved.range_m.isfinite().all()
+    assert moved.confidence[~moved.valid].eq(0).all()
