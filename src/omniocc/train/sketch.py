@@ -6,11 +6,12 @@ from typing import Any, cast
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
+from omniocc.data import RangeMixture
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import CandidateScores
 from omniocc.model.protocols import LearnedSketch
 from omniocc.train.adamw import AdamW
-from omniocc.train.stage_task import StageTask, log_terms
+from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 
 class SketchTask(StageTask[nn.Module]):
@@ -19,12 +20,23 @@ class SketchTask(StageTask[nn.Module]):
     Args:
         model: learned sketch; its depth option is not run, since batches hold the panoramas.
         range_edges_m: ends of the distance bands in which figures are given.
+        mixture: better and worse ranges for some training samples; None: the panoramas as they are.
+        seed: of the choice of these samples.
     """
 
     STAGE = "sketch"
 
-    def __init__(self, model: nn.Module, optimizer: AdamW, range_edges_m: Sequence[float], config: dict[str, Any]):
+    def __init__(
+        self,
+        model: nn.Module,
+        optimizer: AdamW,
+        range_edges_m: Sequence[float],
+        config: dict[str, Any],
+        mixture: RangeMixture | None = None,
+        seed: int = 0,
+    ):
         super().__init__(model, optimizer, config)
+        self.mixture, self.seed = mixture, seed
         grid = cast(Cylinder | Cuboid, self.sketch.geometry)
         self.raw = CandidateScores(grid, range_edges_m)
         self.dilated = CandidateScores(grid, range_edges_m)
@@ -36,6 +48,9 @@ class SketchTask(StageTask[nn.Module]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
+        if self.mixture is not None and batch.depth_range_m is not None:
+            draw = step_generator(self, self.seed, batch_index)
+            batch = batch._replace(depth_range_m=self.mixture(batch.depth_range_m, batch.erp_range_m, draw)[0])
         terms = {} if batch.voxels is None else self.sketch.weighted_losses(*panorama(batch), batch.voxels)
         return log_terms(self, terms, batch)
 

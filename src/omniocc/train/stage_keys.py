@@ -76,8 +76,10 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     )
     network = _without(sketch, selection)
     labels = config["data"]["ignore"]
-    code = foreign_code([network, stages["sketch"]])
-    sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
+    mixture = [config["range_mixture"]] if config.get("range_mixture") else []
+    code = foreign_code([network, stages["sketch"], *mixture])
+    recipe = [stages["sketch"], trainer, labels, *mixture]
+    sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, *recipe, *code])
     arguments = {name: sketch[name] for name in selection}
     candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])
     ranges = sketched = candidates = None

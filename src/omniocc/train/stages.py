@@ -215,11 +215,13 @@ class SketchStage(EarlierStage):
 
     def task(self, rig: Rig) -> SketchTask:  # noqa: D102
         edges_m = self.data.spec.range_edges_m
-        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, self.parts.config)
+        mixture, seed = self.parts.range_mixture(), self.recipe.seed
+        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, self.parts.config, mixture, seed)
 
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
-        return test._replace(images=False), test
+        mixed = cast(SketchTask, task).mixture is not None
+        return test._replace(images=False, panorama=mixed), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
@@ -279,7 +281,9 @@ class OccupancyStage(Stage):
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         loss, sketch = cast(OccupancyTask, task).loss, self.sketch
         test = Needs(pixel_labels=False, candidates=sketch and sketch.candidates, evidence=sketch and sketch.evidence)
-        learned = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
+        learned: dict[str, Any] = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
+        if sketch is not None and cast(OccupancyTask, task).mixture is not None:
+            learned |= {"panorama": True, "depth": sketch.depth.ranges}
         return test._replace(scores=False, **learned), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
