@@ -126,8 +126,8 @@ class Rig:
     def load(cls, path: str | PathLike[str]) -> "Rig":
         """Read a rig file (see `omniocc.camera.rig`), or a built-in rig: `fisheye6`, `pinhole6`, `surround_view`.
 
-        Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360 and OmniMVS are recognised by their content, see
-        `omniocc.camera.calibration`.
+        Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360, OmniMVS and NVIDIA (NCore, DriveWorks) are recognised by
+        their content, see `omniocc.camera.calibration`.
 
         Raises:
             ValueError: naming file, the camera and the wrong value.
