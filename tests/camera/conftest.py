@@ -24,11 +24,11 @@ def build(entry, exact=False, max_angle_deg=180.0):
         distortion = tuple(entry[key] for key in ("k1", "k2", "p1", "p2"))
         return MEI(*size, focal, center, entry["xi"], distortion, max_angle_deg)
     if entry["model"] == "ftheta":
-        reference = {"ANGLE_TO_PIXELDIST": (1, 0), "PIXELDIST_TO_ANGLE": (0, 1)}[entry["reference_poly"]]
-        keys = ("angle_to_pixeldist_poly", "pixeldist_to_angle_poly")
-        polynomials = [tuple(entry[key] * kept) for key, kept in zip(keys, reference, strict=True)]
+        by_radius = entry["reference_poly"] == "PIXELDIST_TO_ANGLE"
+        forward = () if by_radius else tuple(entry["angle_to_pixeldist_poly"])
+        backward = tuple(entry["pixeldist_to_angle_poly"]) if by_radius else ()
         angle = min(math.degrees(entry["max_angle"]), max_angle_deg)
-        return FTheta(*size, tuple(entry["principal_point"]), *polynomials, tuple(entry["linear_cde"]), angle)
+        return FTheta(*size, tuple(entry["principal_point"]), forward, backward, tuple(entry["linear_cde"]), angle)
     if entry["model"] == "radial":
         center = (entry["cx_offset"] + size[0] / 2 - 0.5, entry["cy_offset"] + size[1] / 2 - 0.5)
         return RadialPolynomial(*size, tuple(entry["k"]), center, entry["aspect_ratio"], max_angle_deg)
