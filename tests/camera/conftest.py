@@ -1,11 +1,12 @@
 """Cameras with known pixels: real calibrations and vectors computed independently in float64."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
-from omniocc.camera import EUCM, MEI, DoubleSphere, KannalaBrandt, OCam, RadialPolynomial
+from omniocc.camera import EUCM, MEI, DoubleSphere, FTheta, KannalaBrandt, OCam, RadialPolynomial
 
 FOLDER = Path(__file__).parent
 
@@ -22,6 +23,12 @@ def build(entry, exact=False, max_angle_deg=180.0):
         focal, center = (entry["gamma1"], entry["gamma2"]), (entry["u0"], entry["v0"])
         distortion = tuple(entry[key] for key in ("k1", "k2", "p1", "p2"))
         return MEI(*size, focal, center, entry["xi"], distortion, max_angle_deg)
+    if entry["model"] == "ftheta":
+        by_radius = entry["reference_poly"] == "PIXELDIST_TO_ANGLE"
+        forward = () if by_radius else tuple(entry["angle_to_pixeldist_poly"])
+        backward = tuple(entry["pixeldist_to_angle_poly"]) if by_radius else ()
+        angle = min(math.degrees(entry["max_angle"]), max_angle_deg)
+        return FTheta(*size, tuple(entry["principal_point"]), forward, backward, tuple(entry["linear_cde"]), angle)
     if entry["model"] == "radial":
         center = (entry["cx_offset"] + size[0] / 2 - 0.5, entry["cy_offset"] + size[1] / 2 - 0.5)
         return RadialPolynomial(*size, tuple(entry["k"]), center, entry["aspect_ratio"], max_angle_deg)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.camera import EUCM, MEI, DoubleSphere, KannalaBrandt, OCam, Pinhole, Rig
+from omniocc.camera import EUCM, MEI, DoubleSphere, FTheta, KannalaBrandt, OCam, Pinhole, Rig
+from omniocc.camera.pose import pose_from_angles
 
 OPENCV = """%YAML:1.0
 ---
@@ -34,6 +35,29 @@ camera_name: head
 camera_matrix: {rows: 3, cols: 3, data: [300.0, 0, 320, 0, 301.0, 240, 0, 0, 1]}
 distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+"""
+NCORE = """{"resolution": [960, 540], "shutter_type": "ROLLING_TOP_TO_BOTTOM", "external_distortion_parameters": null,
+ "principal_point": [477.8616638183594, 371.405029296875], "reference_poly": "ANGLE_TO_PIXELDIST",
+ "pixeldist_to_angle_poly": [0.0, 0.002108694054186344, 1.4248414004214283e-07, -8.064807710539412e-10,
+  2.485065538765374e-12, -1.7939406081105393e-15],
+ "angle_to_pixeldist_poly": [0.0, 473.61334228515625, -9.587550163269043, 24.94717788696289, -42.338558197021484,
+  15.140613555908203],
+ "max_angle": 1.3461724520632263,
+ "linear_cde": [0.9997570514678955, 6.27807603450492e-05, -0.00010061755892820656]}
+"""
+DRIVEWORKS = """{"rig": {"sensors": [
+    {"name": "camera:front:wide:120fov", "protocol": "camera.virtual",
+     "nominalSensor2Rig_FLU": {"roll-pitch-yaw": [0.0, 10.0, 30.0], "t": [1.0, -0.2, 1.5]},
+     "correction_sensor_R_FLU": {"roll-pitch-yaw": [5.0, 0.0, 0.0]}, "correction_rig_T": [0.0, 0.0, 0.25],
+     "properties": {"Model": "ftheta", "cx": "960", "cy": "604", "width": "1920", "height": "1208",
+      "bw-poly": "0.0 0.00102186773438007 6.5174766916698e-08 -8.68132649101128e-11 9.99595439516061e-14"}},
+    {"name": "lidar:top", "protocol": "lidar.virtual", "properties": {"Model": "none"}},
+    {"name": "camera:rear:70fov", "protocol": "camera.virtual",
+     "nominalSensor2Rig_FLU": {"roll-pitch-yaw": [0, 0, 180], "t": [-1.0, 0.2, 1.25]},
+     "properties": {"Model": "ftheta", "cx": "640.5", "cy": "360", "width": "1280", "height": "720",
+      "polynomial": "0 700 -3.5", "polynomial-type": "angle-to-pixeldistance",
+      "linear-c": "1.01", "linear-d": "0.002", "linear-e": "-0.003"}}]},
+ "version": 7}
 """
 KALIBR = """
 cam0:
@@ -208,6 +232,39 @@ def test_ocamcalib_text(load, known, build_camera):
     assert load(no_comments, "calib_results.txt") == rig
 
 
+def test_ncore_camera(load, known, build_camera):
+    (camera,) = load(NCORE).cameras
+    assert camera == build_camera(known["cameras"]["ncore_sample"])
+    (other,) = load(NCORE.replace("ANGLE_TO_PIXELDIST", "PIXELDIST_TO_ANGLE")).cameras
+    assert (other.angle_to_pixeldist, other.pixeldist_to_angle[1]) == ((), 0.002108694054186344)
+    (plain,) = load(
+        NCORE.replace("0.9997570514678955, 6.27807603450492e-05, -0.00010061755892820656", "0, 0, 0")
+    ).cameras
+    assert plain.linear_cde == (1.0, 0.0, 0.0)
+
+
+def test_driveworks_rig(load, known):
+    rig = load(DRIVEWORKS)
+    assert rig.names == ("camera_front_wide_120fov", "camera_rear_70fov")
+    front, rear = rig.cameras
+    backward = tuple(known["cameras"]["driveworks_sample"]["pixeldist_to_angle_poly"])
+    assert front == FTheta(1920, 1208, (960.0, 604.0), (), backward, (1.0, 0.0, 0.0), 180.0)
+    assert rear == FTheta(1280, 720, (640.5, 360.0), (0.0, 700.0, -3.5), (), (1.01, 0.002, -0.003), 180.0)
+    # the cameras are 1.75 and 1.25 m above the road, below which the rig's origin, their mean, lies
+    assert rig.road_z_m == pytest.approx(-1.5)
+    torch.testing.assert_close(
+        rig.ego_from_camera[:, :3, 3], torch.tensor([[1, -0.2, 0.25], [-1, 0.2, -0.25]]).double()
+    )
+    # the front camera looks 10 degrees down and 30 to the left, and is rolled by 5 clockwise about where it looks
+    expected = pose_from_angles((1.0, -0.2, 0.25), 30.0, -10.0, 5.0)
+    torch.testing.assert_close(rig.ego_from_camera[0], expected, atol=1e-12, rtol=0)
+    turned = load(DRIVEWORKS.replace('"roll-pitch-yaw": [5.0, 0.0, 0.0]', '"roll-pitch-yaw": [0, 0, 90]'))
+    # 90 degrees to the left in the camera's own frame: it looks where its left was
+    assert turned.ego_from_camera[0, :3, 2].tolist() == pytest.approx(
+        (-rig.ego_from_camera[0, :3, 0]).tolist(), abs=0.1
+    )
+
+
 def test_kitti360_camera(load, known, build_camera):
     rig = load(KITTI360)
     assert rig.cameras == (build_camera(known["cameras"]["kitti360_image_03"]),)
@@ -302,6 +359,14 @@ def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
         (KITTI360, "   xi: 2.5535139132482758e+00\n", "   x: 0\n", "xi is missing"),
         (KITTI360, "1.4854388981875156e+03", "0.0", "focal_px is 0.0"),
         (KITTI360, "1.4854388981875156e+03", ".inf", "gamma1 is inf"),
+        (NCORE, ': "ANGLE_TO_PIXELDIST"', ": 1", "reference_poly is 1; .*PIXELDIST_TO_ANGLE"),
+        (NCORE, "null", "{reference_poly: FORWARD}", "windshield"),
+        (NCORE, "[0.0, 473.6", "[2.0, 473.6", "angle_to_pixeldist is .*begin with 0"),
+        (NCORE, '"max_angle"', '"angle"', "max_angle is missing"),
+        (DRIVEWORKS, "angle-to-pixeldistance", "both", "camera:rear:70fov: polynomial-type is 'both'"),
+        (DRIVEWORKS, '"ftheta", "cx": "640.5"', '"ocam", "cx": "640.5"', "camera:rear:70fov: Model is 'ocam'"),
+        (DRIVEWORKS, "[-1.0, 0.2, 1.25]", "[-1.0, 0.2]", "camera:rear:70fov: t is .*3 numbers"),
+        (DRIVEWORKS, "[1.0, -0.2, 1.5]", "[1.0, -0.2, -9]", "road_z_m is .*the road is below the rig"),
         (OMNIMVS, "pose: [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]", "pose: [0.0]", "cam1: pose.* 6 numbers"),
         (OMNIMVS, "[3, 320.0, 190.0, -49.0]", "[3, 320.0]", "cam2: inv_poly.* 3 coefficients.* 1"),
         (OMNIMVS, "max_fov: 220.0", "max_fov: 400.0", "cam1: max_angle_deg is 200.0"),

@@ -21,12 +21,24 @@ NAMES = [
     "euroc_eucm",
     "kitti360_image_03",
     "woodscape_like",
+    "ncore_sample",
+    "driveworks_sample",
+    "ftheta_wide",
     "omnimvs_sunny_single_cam1",
     "omnimvs_sunny_single_cam2",
     "omnimvs_sunny_single_cam3",
     "omnimvs_sunny_single_cam4",
 ]
-KINDS = ["svs_back", "basalt_test_ds", "euroc_eucm", "kitti360_image_03", "woodscape_like", "omnimvs_sunny_single_cam1"]
+KINDS = [
+    "svs_back",
+    "basalt_test_ds",
+    "euroc_eucm",
+    "kitti360_image_03",
+    "woodscape_like",
+    "ncore_sample",
+    "ftheta_wide",
+    "omnimvs_sunny_single_cam1",
+]
 
 
 @pytest.fixture(params=[*KINDS, "omnimvs_sunny_single_cam1 exact"])

@@ -245,7 +245,15 @@ def test_error_names_wrong_arguments():
 
 
 def test_rig_of_every_model_is_saved_and_loaded(tmp_path, known, build_camera):
-    names = ("svs_front", "basalt_test_ds", "euroc_eucm", "kitti360_image_03", "woodscape_like")
+    names = (
+        "svs_front",
+        "basalt_test_ds",
+        "euroc_eucm",
+        "kitti360_image_03",
+        "woodscape_like",
+        "ncore_sample",
+        "ftheta_wide",
+    )
     cameras = [build_camera(known["cameras"][name], max_angle_deg=80.5) for name in names]
     sunny = known["cameras"]["omnimvs_sunny_single_cam1"]
     cameras += [build_camera(sunny), build_camera(sunny, exact=True), Panoramic(64, 32, 50.0, -10.5)]
@@ -259,7 +267,7 @@ def test_rig_of_every_model_is_saved_and_loaded(tmp_path, known, build_camera):
     assert loaded == rig
     assert loaded.cameras == rig.cameras
     pixels, valid = loaded.project(torch.tensor([[9.0, 1, 0], [-5, 4, -1]]))
-    assert pixels.shape == (10, 2, 2)
+    assert pixels.shape == (12, 2, 2)
     assert valid.any()
 
 

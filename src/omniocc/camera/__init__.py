@@ -4,6 +4,7 @@ from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.equirectangular import Equirectangular
 from omniocc.camera.models.eucm import EUCM
+from omniocc.camera.models.ftheta import FTheta
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
@@ -21,6 +22,7 @@ __all__ = [
     "DoubleSphere",
     "Equidistant",
     "Equirectangular",
+    "FTheta",
     "KannalaBrandt",
     "OCam",
     "Panoramic",

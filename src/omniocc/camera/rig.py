@@ -43,6 +43,7 @@ from omniocc.camera.calibration.fields import mapping, naming, read_mask_of
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.eucm import EUCM
+from omniocc.camera.models.ftheta import FTheta
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
@@ -65,6 +66,7 @@ MODELS = {
     "double_sphere": DoubleSphere,
     "eucm": EUCM,
     "radial_polynomial": RadialPolynomial,
+    "ftheta": FTheta,
     "panoramic": Panoramic,
 }
 BUILT_IN = Path(__file__).parent / "rigs"
@@ -124,8 +126,8 @@ class Rig:
     def load(cls, path: str | PathLike[str]) -> "Rig":
         """Read a rig file (see `omniocc.camera.rig`), or a built-in rig: `fisheye6`, `pinhole6`, `surround_view`.
 
-        Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360 and OmniMVS are recognised by their content, see
-        `omniocc.camera.calibration`.
+        Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360, OmniMVS and NVIDIA (NCore, DriveWorks) are recognised by
+        their content, see `omniocc.camera.calibration`.
 
         Raises:
             ValueError: naming file, the camera and the wrong value.

@@ -5,6 +5,7 @@ from typing import Any
 
 from omniocc.camera.calibration.fields import Calibration
 from omniocc.camera.calibration.kitti360 import POSES, read_kitti360, read_kitti360_folder
+from omniocc.camera.calibration.nvidia import read_driveworks, read_ncore
 from omniocc.camera.calibration.ocamcalib import is_ocamcalib, read_ocamcalib
 from omniocc.camera.calibration.yaml_files import read_kalibr, read_omnimvs, read_opencv
 from omniocc.io import parse_yaml
@@ -13,7 +14,8 @@ __all__ = ["Calibration", "parse", "read_calibration", "read_calibration_folder"
 
 FORMATS = (
     "a rig file ('cameras' is a mapping), OmniMVS ('cameras' is a list), Kalibr camchain ('cam0'), "
-    "OpenCV ('camera_matrix'), KITTI-360 ('model_type: MEI'), OCamCalib (lines of numbers)"
+    "OpenCV ('camera_matrix'), KITTI-360 ('model_type: MEI'), NCore ('reference_poly'), DriveWorks ('rig'), "
+    "OCamCalib (lines of numbers)"
 )
 
 
@@ -37,6 +39,10 @@ def read_calibration(file: Path, text: str, content: Any) -> Calibration:
             return read_omnimvs(content, file.parent)
         if "model_type" in content:
             return read_kitti360(content, file.stem)
+        if "reference_poly" in content:
+            return read_ncore(content, file.stem)
+        if "rig" in content:
+            return read_driveworks(content)
         if "camera_matrix" in content:
             return read_opencv(content, file.stem)
         if any(isinstance(entry, dict) and "camera_model" in entry for entry in content.values()):

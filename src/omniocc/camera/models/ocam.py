@@ -9,11 +9,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, theta_over_radius, unit
-from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.ops.polynomial import derivative, evaluate, invert_increasing, positive_until
+from omniocc.camera.ops.pixels import farthest_px, in_image
+from omniocc.camera.ops.polynomial import (
+    MAX_COEFFICIENTS,
+    derivative,
+    evaluate,
+    invert_increasing,
+    positive_until,
+)
 from omniocc.camera.protocol import angle_from_axis, check_fields, numbers, pair, scaled_center
-
-MAX_COEFFICIENTS = 40
 
 
 @dataclass(frozen=True)
@@ -112,14 +116,7 @@ class OCam:
     def _rho_limit(self) -> float:
         """Return the rho at which the angle stops rising: where rho f'(rho) - f(rho) stops being positive."""
         rising = tuple((power - 1) * a for power, a in enumerate(self.polynomial))
-        return positive_until(rising, 0.0, self._farthest_px)
-
-    @property
-    def _farthest_px(self) -> float:
-        """Return a rho beyond every pixel of the image."""
-        c, d, e = self.affine
-        reach = math.hypot(self.width + abs(self.center_px[0]), self.height + abs(self.center_px[1]))
-        return reach * (1 + abs(c) + abs(d) + abs(e)) / (c - d * e)
+        return positive_until(rising, 0.0, farthest_px(self.width, self.height, self.center_px, self.affine))
 
     def _angle(self, rho: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return torch.atan2(rho, -evaluate(self.polynomial, rho))

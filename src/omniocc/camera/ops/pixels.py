@@ -1,5 +1,7 @@
 """Pixel coordinates: integers are pixel centres, an image spans [-0.5, W-0.5] x [-0.5, H-0.5]."""
 
+import math
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -27,6 +29,13 @@ def in_image(pixels: Float[Tensor, "*batch 2"], width: int, height: int) -> Bool
     """Return whether a pixel is in the image, its border included; false for NaN."""
     u, v = pixels.unbind(-1)
     return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+
+
+def farthest_px(width: int, height: int, center_px: tuple[float, float], affine: tuple[float, ...]) -> float:
+    """Return a distance from the centre, px, beyond every pixel before an affine map with diagonal (1, c) or (c, 1)."""
+    c, d, e = affine
+    reach = math.hypot(width + abs(center_px[0]), height + abs(center_px[1]))
+    return reach * (1 + abs(c) + abs(d) + abs(e)) / (c - d * e)
 
 
 def usable(

@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+MAX_COEFFICIENTS = 40
+"""Most coefficients of a polynomial that is read from a file."""
 NODES = 1024
 STEPS = 8  # measured: 4 suffice to reach rounding error, except near a turning point
 
