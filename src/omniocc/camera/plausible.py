@@ -1,6 +1,7 @@
 """What looks wrong about a rig before anything is predicted with it: its poses, its road, its lenses, its overlap."""
 
 import math
+import re
 from collections.abc import Iterator
 from itertools import combinations
 from typing import NamedTuple
@@ -25,6 +26,10 @@ FACING_DEG = 15.0
 """Angle between an axis and the direction to another camera, up to which it looks at that camera."""
 SAME_M, SAME_RAD = 0.01, 0.02
 """Distance and angle up to which two poses are the same."""
+DIRECTIONS = {"front": (1, 0), "rear": (-1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+"""Words in the names of cameras, and forward and left of where they look."""
+OFF_NAME_DEG = 75.0
+"""Angle between the yaw of a camera and the direction in its name that is usual: a corner may look to a side."""
 OFF_CENTER = 0.1
 """Distance of the optical axis from the middle of the image, over its width or height, that is usual."""
 ENDS_DEG = 2.0
@@ -87,7 +92,7 @@ def suspicious(rig: Rig) -> list[str]:
 
     All of it is allowed: a rig with lines can be used. No images are needed.
     """
-    lines = [*_count(rig), *_tilted(rig), *_facing(rig), *_same(rig), *_road(rig), *_lenses(rig)]
+    lines = [*_count(rig), *_tilted(rig), *_turned(rig), *_facing(rig), *_same(rig), *_road(rig), *_lenses(rig)]
     points = torch.tensor(RANGES_M)[:, None, None, None] * AROUND.rays()
     if len(rig.cameras) > 1 and shared_view(rig, points) == 0:
         lines.append("no two cameras see the same: ranges are guessed from single images")
@@ -132,6 +137,23 @@ def _remedy(rig: Rig) -> str:
         if all(abs(pitch) < 45 and abs(roll) < 30 for _, pitch, roll in map(angles_of, turned)):
             return f": {question}"
     return ""
+
+
+def _turned(rig: Rig) -> Iterator[str]:
+    """Yield a line for cameras that look elsewhere than their names say, if one is called front, rear or back."""
+    named = {k: re.findall("|".join(DIRECTIONS), name.lower()) for k, name in enumerate(rig.names)}
+    if not any({"front", "rear", "back"} & set(words) for words in named.values()):
+        return  # the left and the right camera of a stereo pair look forward
+    for k, words in named.items():
+        forward, left = (sum(DIRECTIONS[word][axis] for word in words) for axis in range(2))
+        yaw_deg, pitch_deg, _ = angles_of(rig.ego_from_camera[k])
+        off_deg = (yaw_deg - math.degrees(math.atan2(left, forward)) + 180) % 360 - 180
+        if (forward or left) and abs(pitch_deg) < STEEP_DEG and abs(off_deg) > OFF_NAME_DEG:
+            yield f"camera '{rig.names[k]}' looks {abs(off_deg):.0f} degrees to the {_side(off_deg)} of what its name says"
+
+
+def _side(off_deg: float) -> str:
+    return "left" if off_deg > 0 else "right"
 
 
 def _facing(rig: Rig) -> Iterator[str]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.plausible import cross
-from omniocc.draw.canvas import INK, Rgb, blank, draw_label, draw_text, fitted, legend, paste, text_width
+from omniocc.draw.canvas import INK, Rgb, blank, draw_label, draw_text, legend, text_width
 from omniocc.draw.paint import rays_of_parts
 from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, stack, tagged
 
@@ -41,7 +41,12 @@ COUNTS: tuple[tuple[str, Rgb], ...] = (
     ("three", (80, 160, 210)),
     ("four or more", (110, 85, 185)),
 )
-GROUND = (("horizon", HORIZON), ("road: metres", GRID), ("straight ahead and back (y = 0)", RED), ("left and right (x = 0)", GREEN))
+GROUND = (
+    ("horizon", HORIZON),
+    ("road: metres", GRID),
+    ("straight ahead and back (y = 0)", RED),
+    ("left and right (x = 0)", GREEN),
+)
 AXES = (("a camera's right (x)", RED), ("down (y)", GREEN), ("forward (z)", BLUE))
 
 
@@ -64,7 +69,10 @@ def rig_sheet(
     middle, half_m = extent(rig, road_z_m)
     panels = [
         tagged(view_along(rig, ABOVE, middle, half_m, third, road_z_m), "from above, lines: 1 m"),
-        tagged(view_along(rig, SIDE, middle, half_m, third, road_z_m), f"from the right side; road {state} z = {road_z_m:g} m"),
+        tagged(
+            view_along(rig, SIDE, middle, half_m, third, road_z_m),
+            f"from the right side; road {state} z = {road_z_m:g} m",
+        ),
         tagged(ground_map(rig, road_z_m, third), f"ground, {2 * MAP_M} m across: how many cameras see it"),
     ]
     columns = 2 if len(images) <= 4 else 3 if len(images) <= 9 else 5
@@ -72,9 +80,11 @@ def rig_sheet(
     views = [camera_view(rig, k, image, wide, road_z_m) for k, image in enumerate(images)]
     rows = [
         *_text(findings or ["nothing suspicious"], inner, WARNING if findings else GREEN),
-        beside(panels, width_px - 2 * (width_px - inner) // 2),
+        beside(panels, inner),
         beside([legend([*AXES], third * 2), legend([*COUNTS], third)], inner),
-        panorama_row(count_colors(counts(rig, DIRECTIONS.rays() * DIRECTIONS_M)), "directions: how many cameras see them", inner),
+        panorama_row(
+            count_colors(counts(rig, DIRECTIONS.rays() * DIRECTIONS_M)), "directions: how many cameras see them", inner
+        ),
         _azimuths(inner),
         legend([*GROUND, ("dark: lens or mask leave it out", (60, 60, 60))], inner),
         *camera_rows(views, inner, columns, rig.names),
@@ -129,6 +139,7 @@ def view_along(
     rig: Rig, look: Float64[Tensor, "2 3"], middle: Tensor, half_m: float, size_px: int, road_z_m: float
 ) -> np.ndarray:
     """Return cameras, their axes and fields of view in one direction; `look` is what is up and left."""
+
     def at(points: Tensor) -> list[list[int]]:
         return placed(points @ look.T, look @ middle, half_m, size_px)
 
@@ -152,18 +163,18 @@ def view_along(
     if not above:
         road = torch.tensor([[road_z_m, -1e3], [road_z_m, 1e3]])
         cv2.line(canvas, *placed(road, centers, half_m, size_px), (120, 120, 120), 3)
-    tip = torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64)
-    cv2.arrowedLine(canvas, *at(tip), INK, 2, cv2.LINE_AA, tipLength=0.25)
-    (left, top), _ = at(tip[1:])[0], None
-    draw_text(canvas, "forward", left + 4, top - 4, 9)
+    arrow = at(torch.tensor([[0.0, 0, 0], [half_m / 5, 0, 0]], dtype=torch.float64))
+    cv2.arrowedLine(canvas, *arrow, INK, 2, cv2.LINE_AA, tipLength=0.25)
+    draw_text(canvas, "forward", arrow[0][0] - 20, arrow[0][1] + 16, 9)
     for k, pose in enumerate(rig.ego_from_camera):
-        center = pose[:3, 3]
         for axis, color in enumerate((RED, GREEN, BLUE)):
-            cv2.line(canvas, *at(torch.stack([center, center + pose[:3, axis] * half_m / 9])), color, 2, cv2.LINE_AA)
-        (place,) = at(center[None])
-        cv2.circle(canvas, place, 5, camera_color(k), -1, cv2.LINE_AA)
+            ends = at(torch.stack([pose[:3, 3], pose[:3, 3] + pose[:3, axis] * half_m / 9]))
+            cv2.line(canvas, *ends, color, 2, cv2.LINE_AA)
+        cv2.circle(canvas, ends[0], 5, camera_color(k), -1, cv2.LINE_AA)
         if above:
-            _name(canvas, rig.names[k], place)
+            (place,) = at((pose[:3, 3] + pose[:3, 2] / pose[:2, 2].norm().clamp(min=0.2) * half_m / 4.5)[None])
+            left = place[0] - text_width(rig.names[k], 10) // 2
+            draw_text(canvas, rig.names[k], left, place[1] + 5, 10)
     return canvas
 
 
@@ -173,7 +184,7 @@ def camera_view(rig: Rig, k: int, image: np.ndarray | None, width_px: int, road_
     height_px = round(camera.height * width_px / camera.width)
     canvas = blank(width_px, height_px, (GREY,) * 3)
     if image is not None:
-        canvas = fitted(image, width_px) if image.shape[:2] == (camera.height, camera.width) else cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA)
+        canvas = cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA)
     _, seen = rays_of_parts(rig, k, width_px, height_px)
     canvas = np.where(seen.numpy()[..., None], canvas, (canvas * UNUSED).astype(np.uint8))
     scale = width_px / camera.width
@@ -188,6 +199,7 @@ def camera_view(rig: Rig, k: int, image: np.ndarray | None, width_px: int, road_
             cv2.circle(canvas, (u, v), 4, (255, 255, 255), -1, cv2.LINE_AA)
             left = min(u + 6, width_px - text_width(text, 9) - 14)
             draw_label(canvas, text, max(left, 0), max(min(v - 10, height_px - 24), 0), 9)
+    cv2.rectangle(canvas, (0, 0), (width_px - 1, height_px - 1), camera_color(k), 7)
     return canvas
 
 
@@ -209,7 +221,12 @@ def horizon(rig: Rig, k: int) -> Float64[Tensor, "S 3"]:
 
 
 def _draw_line(
-    canvas: np.ndarray, pixels: Float64[Tensor, "S 2"], valid: Bool[Tensor, " S"], scale: float, rgb: Rgb, thickness: int
+    canvas: np.ndarray,
+    pixels: Float64[Tensor, "S 2"],
+    valid: Bool[Tensor, " S"],
+    scale: float,
+    rgb: Rgb,
+    thickness: int,
 ) -> None:
     """Draw the visible parts of a line in place; it is interrupted where a panorama begins anew."""
     places = ((pixels + 0.5) * scale - 0.5).numpy()
@@ -225,17 +242,6 @@ def camera_color(k: int) -> Rgb:
     """Return the colour of a camera; those of neighbours in the file differ most."""
     red, green, blue = colorsys.hsv_to_rgb((0.58 + 0.382 * k) % 1, 0.75, 0.8)
     return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def _name(canvas: np.ndarray, text: str, place: list[int]) -> None:
-    """Write a camera's name on the outer side of its place."""
-    size = len(canvas)
-    width = text_width(text, 10)
-    left = place[0] + 10 if place[0] > size / 2 + 5 else place[0] - width - 10
-    if abs(place[0] - size / 2) <= 5:
-        left = place[0] - width // 2
-    top = place[1] - 14 if place[1] < size / 2 else place[1] + 22
-    draw_text(canvas, text, min(max(left, 2), size - width - 2), top, 10)
 
 
 def _text(lines: Sequence[str], width: int, rgb: Rgb) -> list[np.ndarray]:
