@@ -64,15 +64,17 @@ class Field(NamedTuple):
 def field_of(camera: Camera) -> Field:
     """Return the field of view of a camera; masks do not matter."""
     lines = cross(camera)
-    angles_deg = []
-    for _, rays, seen in lines:
-        chords = (rays[1:] - rays[:-1]).norm(dim=-1)[seen[1:] & seen[:-1]]
-        angles_deg.append(math.degrees(float(2 * (chords / 2).clamp(max=1).asin().sum())))
-    row = lines[0]
-    width_px = float(row[2].double().mean()) * camera.width
+    horizontal_deg, vertical_deg = (_angle_deg(rays, seen) for _, rays, seen in lines)
+    width_px = float(lines[0][2].double().mean()) * camera.width
     from_axis_deg = [torch.rad2deg(rays[seen][:, 2].clamp(-1, 1).acos()) for _, rays, seen in lines if seen.any()]
     ends = [float(angles.max()) for angles in from_axis_deg] if not all(seen.all() for *_, seen in lines) else []
-    return Field(*angles_deg, width_px / angles_deg[0] if angles_deg[0] else 0.0, max(ends, default=None))
+    density = width_px / horizontal_deg if horizontal_deg else 0.0
+    return Field(horizontal_deg, vertical_deg, density, max(ends, default=None))
+
+
+def _angle_deg(rays: Float64[Tensor, "S 3"], seen: Bool[Tensor, " S"]) -> float:
+    chords = (rays[1:] - rays[:-1]).norm(dim=-1)[seen[1:] & seen[:-1]]
+    return math.degrees(float(2 * (chords / 2).clamp(max=1).asin().sum()))
 
 
 def cross(camera: Camera) -> tuple[Line, Line]:
@@ -129,7 +131,7 @@ def _remedy(rig: Rig) -> str:
     rotations = rig.ego_from_camera[:, :3, :3]
     others = {
         "is ego_from_camera inverted?": rotations.transpose(1, 2),
-        "does ego_from_camera belong to a frame with x forward, y left, z up? A camera has x right, y down, z forward": (
+        "is it the pose of a frame with x forward, z up? A camera has x right, y down, z forward": (
             rotations @ torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
         ),
     }
@@ -149,11 +151,8 @@ def _turned(rig: Rig) -> Iterator[str]:
         yaw_deg, pitch_deg, _ = angles_of(rig.ego_from_camera[k])
         off_deg = (yaw_deg - math.degrees(math.atan2(left, forward)) + 180) % 360 - 180
         if (forward or left) and abs(pitch_deg) < STEEP_DEG and abs(off_deg) > OFF_NAME_DEG:
-            yield f"camera '{rig.names[k]}' looks {abs(off_deg):.0f} degrees to the {_side(off_deg)} of what its name says"
-
-
-def _side(off_deg: float) -> str:
-    return "left" if off_deg > 0 else "right"
+            side = "left" if off_deg > 0 else "right"
+            yield f"camera '{rig.names[k]}' looks {abs(off_deg):.0f} degrees to the {side} of what its name says"
 
 
 def _facing(rig: Rig) -> Iterator[str]:
@@ -169,7 +168,7 @@ def _facing(rig: Rig) -> Iterator[str]:
         if least > SAME_M and float(axes[one] @ sight) > least and float(axes[other] @ -sight) > least:
             pairs.append(f"'{rig.names[one]}' and '{rig.names[other]}'")
     if pairs:
-        yield f"cameras look into each other: {', '.join(pairs)}; is a yaw wrong by 180 degrees, or the sign of a position?"
+        yield f"cameras look into each other: {', '.join(pairs)}; is a yaw wrong by 180 degrees?"
 
 
 def _same(rig: Rig) -> Iterator[str]:
@@ -181,7 +180,7 @@ def _same(rig: Rig) -> Iterator[str]:
 
 def _road(rig: Rig) -> Iterator[str]:
     if rig.road_z_m is None:
-        yield "the height of the road is not known: write road_z_m into the rig file, -0.9 where it is 0.9 m below the origin"
+        yield "the height of the road is not known: write road_z_m into the rig file, -0.9 where it is 0.9 m below"
         return
     below = (rig.ego_from_camera[:, 2, 3] <= rig.road_z_m).tolist()
     if any(below):
@@ -204,7 +203,7 @@ def _lenses(rig: Rig) -> Iterator[str]:
         if not isinstance(camera, Panoramic) and (not bool(seen) or bool((off > OFF_CENTER).any())):
             yield (
                 f"camera '{name}': its optical axis is at ({axis[0]:.0f}, {axis[1]:.0f}) px, far from the middle "
-                f"({middle[0]:.0f}, {middle[1]:.0f}): are the images cropped, or of another size than the calibration's?"
+                f"({middle[0]:.0f}, {middle[1]:.0f}): is the calibration of another size, or cropped?"
             )
 
 

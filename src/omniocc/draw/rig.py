@@ -1,8 +1,10 @@
 """A rig on one image: from above, from the side, what its cameras share, and the road in every camera's image."""
 
 import colorsys
+import math
 import textwrap
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,9 +14,9 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.plausible import cross
-from omniocc.draw.canvas import INK, Rgb, blank, draw_label, draw_text, legend, text_width
+from omniocc.draw.canvas import INK, PAPER, Rgb, blank, draw_label, draw_text, legend, text_width
 from omniocc.draw.paint import rays_of_parts
-from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, stack, tagged
+from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, row, stack
 
 ASSUMED_ROAD_Z_M = -2.2
 """Height of the road in the ego frame that is drawn where it is not known: that of the virtual world."""
@@ -30,7 +32,8 @@ DIRECTIONS_M = 20.0
 ABOVE = torch.tensor([[1.0, 0, 0], [0, 1, 0]], dtype=torch.float64)
 SIDE = torch.tensor([[0.0, 0, 1], [-1, 0, 0]], dtype=torch.float64)
 """What is up and left in the views from above and from the right side, as vectors of the ego frame."""
-GREY, UNUSED = 150, 0.35
+ORIGIN, AHEAD = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0, 0], dtype=torch.float64)
+GREY, UNUSED = (150, 150, 150), 0.35
 """Grey of cameras without an image; brightness of pixels that lens or mask leave out."""
 RED, GREEN, BLUE = (225, 30, 30), (20, 150, 60), (40, 90, 235)
 HORIZON, GRID, PALE, WARNING = (255, 220, 0), (255, 0, 190), (225, 228, 232), (190, 40, 30)
@@ -41,13 +44,9 @@ COUNTS: tuple[tuple[str, Rgb], ...] = (
     ("three", (80, 160, 210)),
     ("four or more", (110, 85, 185)),
 )
-GROUND = (
-    ("horizon", HORIZON),
-    ("road: metres", GRID),
-    ("straight ahead and back (y = 0)", RED),
-    ("left and right (x = 0)", GREEN),
-)
-AXES = (("a camera's right (x)", RED), ("down (y)", GREEN), ("forward (z)", BLUE))
+GROUND: list[tuple[str, Rgb]] = [("horizon", HORIZON), ("road: metres", GRID), ("ahead and back (y = 0)", RED)]
+GROUND += [("left and right (x = 0)", GREEN), ("dark: lens or mask leave it out", (60, 60, 60))]
+AXES = [("a camera's right (x)", RED), ("down (y)", GREEN), ("forward (z)", BLUE)]
 
 
 def rig_sheet(
@@ -66,27 +65,22 @@ def rig_sheet(
     inner = inner_width(width_px)
     third = column_width(inner, 3)
     state = "not known, drawn at" if rig.road_z_m is None else "at"
-    middle, half_m = extent(rig, road_z_m)
-    panels = [
-        tagged(view_along(rig, ABOVE, middle, half_m, third, road_z_m), "from above, lines: 1 m"),
-        tagged(
-            view_along(rig, SIDE, middle, half_m, third, road_z_m),
-            f"from the right side; road {state} z = {road_z_m:g} m",
-        ),
-        tagged(ground_map(rig, road_z_m, third), f"ground, {2 * MAP_M} m across: how many cameras see it"),
-    ]
+    panels = {
+        "from above, lines: 1 m": view_along(rig, ABOVE, third, road_z_m),
+        f"from the right side; road {state} z = {road_z_m:g} m": view_along(rig, SIDE, third, road_z_m),
+        f"ground, {2 * MAP_M} m across: how many cameras see it": ground_map(rig, road_z_m, third),
+    }
+    directions = count_colors(counts(rig, DIRECTIONS.rays() * DIRECTIONS_M))
     columns = 2 if len(images) <= 4 else 3 if len(images) <= 9 else 5
     wide = column_width(inner, columns)
     views = [camera_view(rig, k, image, wide, road_z_m) for k, image in enumerate(images)]
     rows = [
         *_text(findings or ["nothing suspicious"], inner, WARNING if findings else GREEN),
-        beside(panels, inner),
-        beside([legend([*AXES], third * 2), legend([*COUNTS], third)], inner),
-        panorama_row(
-            count_colors(counts(rig, DIRECTIONS.rays() * DIRECTIONS_M)), "directions: how many cameras see them", inner
-        ),
+        row(list(panels.values()), list(panels), inner),
+        beside([legend(AXES, third * 2), legend([*COUNTS], third)], inner),
+        panorama_row(directions, "directions: how many cameras see them", inner),
         _azimuths(inner),
-        legend([*GROUND, ("dark: lens or mask leave it out", (60, 60, 60))], inner),
+        legend(GROUND, inner),
         *camera_rows(views, inner, columns, rig.names),
     ]
     return stack(rows, width_px, caption)
@@ -113,68 +107,77 @@ def ground_map(rig: Rig, road_z_m: float, size_px: int) -> np.ndarray:
     """Return a square map of how many cameras see the road, with the cameras on it."""
     colors = count_colors(counts(rig, ground_points(road_z_m, MAP_M, size_px // 2)))
     canvas = cv2.resize(colors, (size_px, size_px), interpolation=cv2.INTER_NEAREST)
-    places = placed(rig.ego_from_camera[:, :3, 3] @ ABOVE.T, torch.zeros(2), MAP_M, size_px)
-    forward = placed(torch.tensor([[-0.6, 0.0], [0.9, 0.0]]), torch.zeros(2), MAP_M, size_px)
-    cv2.arrowedLine(canvas, *map(tuple, forward), (255, 255, 255), 2, cv2.LINE_AA, tipLength=0.4)
-    for k, place in enumerate(places):
-        cv2.circle(canvas, place, 5, camera_color(k), -1, cv2.LINE_AA)
-        cv2.circle(canvas, place, 5, (255, 255, 255), 1, cv2.LINE_AA)
+    view = View(ABOVE, ORIGIN, MAP_M, size_px)
+    view.arrow(canvas, 1.0, PAPER)
+    for k, (u, v) in enumerate(view.places(rig.ego_from_camera[:, :3, 3]).tolist()):
+        cv2.circle(canvas, (u, v), 5, camera_color(k), -1, cv2.LINE_AA)
+        cv2.circle(canvas, (u, v), 5, PAPER, 1, cv2.LINE_AA)
     return canvas
 
 
-def extent(rig: Rig, road_z_m: float) -> tuple[Float64[Tensor, "3"], float]:
-    """Return the middle of cameras, origin and road below it, and half the edge of a square that shows them, m."""
-    points = torch.cat([rig.ego_from_camera[:, :3, 3], torch.tensor([[0.0, 0, 0], [0, 0, road_z_m]])])
-    low, high = points.amin(0), points.amax(0)
-    return (low + high) / 2, float((high - low).max()) / 2 * 1.1 + 1.5
+class View(NamedTuple):
+    """A square drawing without perspective.
+
+    Attributes:
+        look: what is up and what is left, ego frame.
+        middle: point in the middle, ego frame, m.
+        half_m: from the middle to the edges.
+        size_px: edge.
+    """
+
+    look: Float64[Tensor, "2 3"]
+    middle: Float64[Tensor, "3"]
+    half_m: float
+    size_px: int
+
+    def places(self, points: Float64[Tensor, "P 3"]) -> Int64[np.ndarray, "P 2"]:
+        """Return whole pixels (column, row) of ego points, m."""
+        pixels = (self.half_m - (points - self.middle) @ self.look.T) * self.size_px / (2 * self.half_m) - 0.5
+        return pixels.flip(-1).clamp(-1e4, 1e4).round().long().numpy()
+
+    def line(self, canvas: np.ndarray, points: Float64[Tensor, "P 3"], rgb: Rgb, thickness: int = 1) -> None:
+        """Draw a line through points in place."""
+        cv2.polylines(canvas, [self.places(points).astype(np.int32)], False, rgb, thickness, cv2.LINE_AA)
+
+    def arrow(self, canvas: np.ndarray, length_m: float, rgb: Rgb) -> tuple[int, int]:
+        """Draw an arrow forward from the origin in place; return the pixel of the origin."""
+        (u, v), (tip_u, tip_v) = self.places(torch.stack([ORIGIN, ORIGIN + length_m * AHEAD])).tolist()
+        cv2.arrowedLine(canvas, (u, v), (tip_u, tip_v), rgb, 2, cv2.LINE_AA, tipLength=0.3)
+        return u, v
 
 
-def placed(points: Tensor, middle: Tensor, half_m: float, size_px: int) -> list[list[int]]:
-    """Return whole pixels (column, row) of points (P, 2), up and left in m, on a square canvas around `middle`."""
-    pixels = (half_m - (points - middle)) * size_px / (2 * half_m) - 0.5
-    return pixels.flip(-1).clamp(-1e4, 1e4).round().int().tolist()
-
-
-def view_along(
-    rig: Rig, look: Float64[Tensor, "2 3"], middle: Tensor, half_m: float, size_px: int, road_z_m: float
-) -> np.ndarray:
-    """Return cameras, their axes and fields of view in one direction; `look` is what is up and left."""
-
-    def at(points: Tensor) -> list[list[int]]:
-        return placed(points @ look.T, look @ middle, half_m, size_px)
-
-    canvas, above = blank(size_px, size_px), look is ABOVE
-    centers = look @ middle
-    for along in range(2):
-        for metre in range(int(np.ceil(centers[along] - half_m)), int(centers[along] + half_m) + 1):
-            ends = torch.tensor([[metre, -1e3], [metre, 1e3]])
-            cv2.line(canvas, *placed(ends if along == 0 else ends.flip(-1), centers, half_m, size_px), PALE, 1)
+def view_along(rig: Rig, look: Float64[Tensor, "2 3"], size_px: int, road_z_m: float) -> np.ndarray:
+    """Return cameras, their axes and fields of view, seen in one direction; `look` is what is up and what is left."""
+    positions = rig.ego_from_camera[:, :3, 3]
+    shown = torch.cat([positions, torch.stack([ORIGIN, torch.tensor([0, 0, road_z_m])])])
+    low, high = shown.amin(0), shown.amax(0)
+    half_m = float((high - low).max()) / 2 * 1.1 + 1.5
+    view, canvas = View(look, (low + high) / 2, half_m, size_px), blank(size_px, size_px)
+    for along, across in (look, look.flip(0)):
+        middle = float(along @ view.middle)
+        for metre in range(math.ceil(middle - half_m), math.floor(middle + half_m) + 1):
+            view.line(canvas, torch.stack([along * metre - 1e3 * across, along * metre + 1e3 * across]), PALE)
     for k, pose in enumerate(rig.ego_from_camera):
-        _, rays, seen = cross(rig.cameras[k])[0 if above else 1]
+        _, rays, seen = cross(rig.cameras[k])[0 if look is ABOVE else 1]
         edge = rays[seen][::8] @ pose[:3, :3].T
-        flat = edge @ look.T
-        if above:  # as wide as it is, whatever the pitch
-            flat = torch.nn.functional.normalize(flat, dim=-1)
-        fan = torch.cat([torch.zeros(1, 2, dtype=torch.float64), flat]) * half_m / 3 + look @ pose[:3, 3]
-        outline = np.array(placed(fan, centers, half_m, size_px))
-        covered = cv2.fillPoly(canvas.copy(), [outline], camera_color(k))
-        canvas = cv2.addWeighted(canvas, 0.82, covered, 0.18, 0)
-        cv2.polylines(canvas, [outline], True, camera_color(k), 1, cv2.LINE_AA)
-    if not above:
-        road = torch.tensor([[road_z_m, -1e3], [road_z_m, 1e3]])
-        cv2.line(canvas, *placed(road, centers, half_m, size_px), (120, 120, 120), 3)
-    arrow = at(torch.tensor([[0.0, 0, 0], [half_m / 5, 0, 0]], dtype=torch.float64))
-    cv2.arrowedLine(canvas, *arrow, INK, 2, cv2.LINE_AA, tipLength=0.25)
-    draw_text(canvas, "forward", arrow[0][0] - 20, arrow[0][1] + 16, 9)
+        if look is ABOVE:  # as wide as it is, whatever the pitch
+            edge = edge / (edge @ look.T).norm(dim=-1, keepdim=True).clamp(min=1e-3)
+        fan = torch.cat([pose[None, :3, 3], pose[:3, 3] + edge * half_m / 3, pose[None, :3, 3]])
+        covered = cv2.fillPoly(canvas.copy(), [view.places(fan).astype(np.int32)], camera_color(k))
+        canvas = np.asarray(cv2.addWeighted(canvas, 0.82, covered, 0.18, 0))
+        view.line(canvas, fan, camera_color(k))
+    if look is not ABOVE:
+        view.line(canvas, torch.tensor([[-1e3, 0, road_z_m], [1e3, 0, road_z_m]]), (120, 120, 120), 3)
+    u, v = view.arrow(canvas, half_m / 5, INK)
+    draw_text(canvas, "forward", u - 20, v + 16, 9)
     for k, pose in enumerate(rig.ego_from_camera):
-        for axis, color in enumerate((RED, GREEN, BLUE)):
-            ends = at(torch.stack([pose[:3, 3], pose[:3, 3] + pose[:3, axis] * half_m / 9]))
-            cv2.line(canvas, *ends, color, 2, cv2.LINE_AA)
-        cv2.circle(canvas, ends[0], 5, camera_color(k), -1, cv2.LINE_AA)
-        if above:
-            (place,) = at((pose[:3, 3] + pose[:3, 2] / pose[:2, 2].norm().clamp(min=0.2) * half_m / 4.5)[None])
-            left = place[0] - text_width(rig.names[k], 10) // 2
-            draw_text(canvas, rig.names[k], left, place[1] + 5, 10)
+        for axis, rgb in enumerate((RED, GREEN, BLUE)):
+            view.line(canvas, torch.stack([pose[:3, 3], pose[:3, 3] + pose[:3, axis] * half_m / 9]), rgb, 2)
+        name_at = pose[:3, 3] + pose[:3, 2] / pose[:2, 2].norm().clamp(min=0.2) * half_m / 4.5
+        (u, v), (left, row) = view.places(torch.stack([pose[:3, 3], name_at])).tolist()
+        cv2.circle(canvas, (u, v), 5, camera_color(k), -1, cv2.LINE_AA)
+        if look is ABOVE:
+            draw_text(canvas, rig.names[k], left - text_width(rig.names[k], 10) // 2, row + 5, 10)
     return canvas
 
 
@@ -182,7 +185,7 @@ def camera_view(rig: Rig, k: int, image: np.ndarray | None, width_px: int, road_
     """Return a camera's image, or a grey field, at a width, with horizon and road; dark where nothing is used."""
     camera = rig.cameras[k]
     height_px = round(camera.height * width_px / camera.width)
-    canvas = blank(width_px, height_px, (GREY,) * 3)
+    canvas = blank(width_px, height_px, GREY)
     if image is not None:
         canvas = cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA)
     _, seen = rays_of_parts(rig, k, width_px, height_px)
@@ -190,7 +193,8 @@ def camera_view(rig: Rig, k: int, image: np.ndarray | None, width_px: int, road_
     scale = width_px / camera.width
     lines = canvas.copy()
     for points, color, thickness in [*ground_lines(road_z_m), (horizon(rig, k), HORIZON, 2)]:
-        _draw_line(lines, *rig.project_into(k, points), scale, color, thickness)
+        pixels, valid = rig.project_into(k, points)
+        _draw_line(lines, ((pixels + 0.5) * scale - 0.5).numpy(), valid.numpy(), color, thickness)
     canvas = cv2.addWeighted(canvas, 0.3, lines, 0.7, 0)
     for text, x, y in (("5 m ahead", 5, 0), ("5 m left", 0, 5), ("5 m back", -5, 0), ("5 m right", 0, -5)):
         pixel, valid = rig.project_into(k, torch.tensor([x, y, road_z_m], dtype=torch.float64))
@@ -220,18 +224,10 @@ def horizon(rig: Rig, k: int) -> Float64[Tensor, "S 3"]:
     return rig.ego_from_camera[k, :3, 3] + FAR_M * torch.stack([angles.cos(), angles.sin(), 0 * angles], -1)
 
 
-def _draw_line(
-    canvas: np.ndarray,
-    pixels: Float64[Tensor, "S 2"],
-    valid: Bool[Tensor, " S"],
-    scale: float,
-    rgb: Rgb,
-    thickness: int,
-) -> None:
-    """Draw the visible parts of a line in place; it is interrupted where a panorama begins anew."""
-    places = ((pixels + 0.5) * scale - 0.5).numpy()
+def _draw_line(canvas: np.ndarray, places: np.ndarray, valid: np.ndarray, rgb: Rgb, thickness: int) -> None:
+    """Draw the visible parts of a line through pixels (S, 2) in place; it is interrupted where a panorama begins."""
     jumps = np.abs(np.diff(places[:, 0])) > canvas.shape[1] / 4
-    joined = (valid[1:] & valid[:-1]).numpy() & ~jumps
+    joined = valid[1:] & valid[:-1] & ~jumps
     for run in np.split(np.arange(len(places)), np.flatnonzero(~joined) + 1):
         if len(run) > 1:
             fixed = np.round(places[run] * 16).astype(np.int32)

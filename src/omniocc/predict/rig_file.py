@@ -94,7 +94,7 @@ def suspicious_images(rig: Rig, frame: FrameFiles, images: Sequence[np.ndarray |
             yield str(error)
         (grey if bool((image == image[..., :1]).all()) else colour).append(f"'{name}'")
     if scaled:
-        yield f"images have another size than the calibration: {', '.join(scaled)}; scaled images can be used, cropped ones not"
+        yield f"images of another size than the calibration: {', '.join(scaled)}; they may be scaled but not cropped"
     if grey and colour:
         yield f"grey images beside colour images: {', '.join(grey)}; are all cameras of one kind?"
     yield from filter(None, [describe_ignored_images([frame], rig), swapped_images(frame, rig) if fit else ""])
