@@ -1,4 +1,4 @@
-"""Begin a rig file, or look at one: `python src/rig.py new lens=mei cameras=4`, `python src/rig.py show my_rig.yaml`."""
+"""Begin a rig file or look at one: `python src/rig.py new lens=mei cameras=4`, `python src/rig.py show my_rig.yaml`."""
 
 import sys
 from pathlib import Path

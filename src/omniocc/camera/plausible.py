@@ -180,7 +180,7 @@ def _same(rig: Rig) -> Iterator[str]:
 
 def _road(rig: Rig) -> Iterator[str]:
     if rig.road_z_m is None:
-        yield "the height of the road is not known: write road_z_m into the rig file, -0.9 where it is 0.9 m below"
+        yield "the height of the road is not known: write road_z_m into the rig file (-0.9: 0.9 m below the origin)"
         return
     below = (rig.ego_from_camera[:, 2, 3] <= rig.road_z_m).tolist()
     if any(below):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
@@ -194,7 +194,7 @@ def camera_view(rig: Rig, k: int, image: np.ndarray | None, width_px: int, road_
     lines = canvas.copy()
     for points, color, thickness in [*ground_lines(road_z_m), (horizon(rig, k), HORIZON, 2)]:
         pixels, valid = rig.project_into(k, points)
-        _draw_line(lines, ((pixels + 0.5) * scale - 0.5).numpy(), valid.numpy(), color, thickness)
+        draw_line(lines, ((pixels + 0.5) * scale - 0.5).numpy(), valid.numpy(), color, thickness)
     canvas = cv2.addWeighted(canvas, 0.3, lines, 0.7, 0)
     for text, x, y in (("5 m ahead", 5, 0), ("5 m left", 0, 5), ("5 m back", -5, 0), ("5 m right", 0, -5)):
         pixel, valid = rig.project_into(k, torch.tensor([x, y, road_z_m], dtype=torch.float64))
@@ -224,7 +224,7 @@ def horizon(rig: Rig, k: int) -> Float64[Tensor, "S 3"]:
     return rig.ego_from_camera[k, :3, 3] + FAR_M * torch.stack([angles.cos(), angles.sin(), 0 * angles], -1)
 
 
-def _draw_line(canvas: np.ndarray, places: np.ndarray, valid: np.ndarray, rgb: Rgb, thickness: int) -> None:
+def draw_line(canvas: np.ndarray, places: np.ndarray, valid: np.ndarray, rgb: Rgb, thickness: int) -> None:
     """Draw the visible parts of a line through pixels (S, 2) in place; it is interrupted where a panorama begins."""
     jumps = np.abs(np.diff(places[:, 0])) > canvas.shape[1] / 4
     joined = valid[1:] & valid[:-1] & ~jumps
