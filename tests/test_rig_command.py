@@ -80,7 +80,7 @@ def test_a_camera_is_left_out(images, tmp_path):
         (["show", "fisheye"], "rig=fisheye: no rig file 'fisheye'; did you mean 'fisheye6'?"),
         (["show", "fisheye6", "output=rig.gif"], "output=rig.gif: the name of an image ends with .png, .jpg, .jpeg"),
         (["show", "fisheye6", "images=none"], "images=none: there is no such folder"),
-        (["show", "fisheye6", "image=none"], "image: there is no such key; did you mean images?"),
+        (["show", "fisheye6", "image=none"], "image: there is no such key; did you mean images or image_bits?"),
     ],
 )
 def test_mistakes_are_named_in_a_line(words, message, tmp_path):

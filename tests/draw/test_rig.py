@@ -58,7 +58,6 @@ def test_a_corner_of_the_grid_is_where_a_pinhole_sees_it():
     image = camera_view(rig_of(PINHOLE), 0, None, 201, ROAD_Z_M)
     assert like(image[130, 75], GRID)
     assert like(image[130, 50], GRID)  # (4, 2, -2)
-    assert not like(image[128:133, 60:65], GRID).any(axis=0).all()
     assert not like(image[138, 78:81], GRID).any()
 
 
