@@ -20,6 +20,7 @@ from omniocc.draw.rig import (
     ground_map,
     ground_points,
     rig_sheet,
+    view_along,
 )
 
 PINHOLE = Pinhole(201, 161, (100.0, 100.0), (100.0, 80.0))
@@ -109,3 +110,11 @@ def test_a_sheet_shows_any_number_of_cameras():
     rig = Rig.load("fisheye6")
     six = rig_sheet(rig, [None] * 6, ["a line " * 60], "six", 800)
     assert like(six, HORIZON).sum() > 6 * 200
+
+
+def test_a_rig_of_kilometres_is_drawn_with_few_lines():
+    """Positions in mm by mistake; without wider steps this rig would have billions of lines."""
+    rig = rig_of(PINHOLE)
+    far = Rig(rig.cameras * 2, torch.stack([rig.ego_from_camera[0], torch.eye(4).double()]), ("a", "b"), None, ROAD_Z_M)
+    far.ego_from_camera[1, 0, 3] = 1e9
+    assert 0.5 < (view_along(far, ABOVE, 300, ROAD_Z_M) == 255).all(-1).mean() < 0.99

@@ -66,7 +66,7 @@ def rig_sheet(
     third = column_width(inner, 3)
     state = "not known, drawn at" if rig.road_z_m is None else "at"
     panels = {
-        "from above, lines: 1 m": view_along(rig, ABOVE, third, road_z_m),
+        "from above": view_along(rig, ABOVE, third, road_z_m),
         f"from the right side; road {state} z = {road_z_m:g} m": view_along(rig, SIDE, third, road_z_m),
         f"ground, {2 * MAP_M} m across: how many cameras see it": ground_map(rig, road_z_m, third),
     }
@@ -151,12 +151,14 @@ def view_along(rig: Rig, look: Float64[Tensor, "2 3"], size_px: int, road_z_m: f
     positions = rig.ego_from_camera[:, :3, 3]
     shown = torch.cat([positions, torch.stack([ORIGIN, torch.tensor([0, 0, road_z_m])])])
     low, high = shown.amin(0), shown.amax(0)
-    half_m = float((high - low).max()) / 2 * 1.1 + 1.5
+    half_m = float((high - low).max()) / 2 * 1.3 + 1.5
     view, canvas = View(look, (low + high) / 2, half_m, size_px), blank(size_px, size_px)
+    step_m = 10 ** max(0, math.ceil(math.log10(half_m / 30)))  # positions in mm give a rig of kilometres
     for along, across in (look, look.flip(0)):
-        middle = float(along @ view.middle)
-        for metre in range(math.ceil(middle - half_m), math.floor(middle + half_m) + 1):
-            view.line(canvas, torch.stack([along * metre - 1e3 * across, along * metre + 1e3 * across]), PALE)
+        middle, far = float(along @ view.middle), across * (across @ view.middle)
+        for number in range(math.ceil((middle - half_m) / step_m), math.floor((middle + half_m) / step_m) + 1):
+            start = along * number * step_m + far
+            view.line(canvas, torch.stack([start - 2 * half_m * across, start + 2 * half_m * across]), PALE)
     for k, pose in enumerate(rig.ego_from_camera):
         _, rays, seen = cross(rig.cameras[k])[0 if look is ABOVE else 1]
         edge = rays[seen][::8] @ pose[:3, :3].T
@@ -167,7 +169,7 @@ def view_along(rig: Rig, look: Float64[Tensor, "2 3"], size_px: int, road_z_m: f
         canvas = np.asarray(cv2.addWeighted(canvas, 0.82, covered, 0.18, 0))
         view.line(canvas, fan, camera_color(k))
     if look is not ABOVE:
-        view.line(canvas, torch.tensor([[-1e3, 0, road_z_m], [1e3, 0, road_z_m]]), (120, 120, 120), 3)
+        view.line(canvas, torch.tensor([[-5 * half_m, 0, road_z_m], [5 * half_m, 0, road_z_m]]), (120, 120, 120), 3)
     u, v = view.arrow(canvas, half_m / 5, INK)
     draw_text(canvas, "forward", u - 20, v + 16, 9)
     for k, pose in enumerate(rig.ego_from_camera):
@@ -178,6 +180,7 @@ def view_along(rig: Rig, look: Float64[Tensor, "2 3"], size_px: int, road_z_m: f
         cv2.circle(canvas, (u, v), 5, camera_color(k), -1, cv2.LINE_AA)
         if look is ABOVE:
             draw_text(canvas, rig.names[k], left - text_width(rig.names[k], 10) // 2, row + 5, 10)
+    draw_label(canvas, f"lines: {step_m} m", 8, size_px - 32)
     return canvas
 
 
