@@ -25,7 +25,7 @@ from typing import Any
 
 SRC = Path(__file__).parents[1] / "src"
 SCRIPTS = ["train.py", "evaluate.py", "predict.py", "check.py", "export.py", "mask.py", "record.py", "render.py"]
-SCRIPTS += ["report.py", "view.py"]
+SCRIPTS += ["report.py", "rig.py", "view.py"]
 LOOK_EVERY_S = 0.02
 
 

@@ -30,6 +30,18 @@ def pose_from_angles(
     return pose + 0.0  # turns -0.0 into 0.0, so that equal poses have equal bytes
 
 
+def angles_of(ego_from_camera: Float64[Tensor, "*rows columns"]) -> tuple[float, float, float]:
+    """Return yaw, pitch and roll of a pose or a rotation, degrees, from which `pose_from_angles` makes it again.
+
+    Of a camera that looks straight up or down, only the difference or the sum of yaw and roll is defined.
+    """
+    right, forward = ego_from_camera[:3, 0], ego_from_camera[:3, 2]
+    yaw_deg = math.degrees(math.atan2(forward[1], forward[0]))
+    pitch_deg = math.degrees(math.asin(min(1.0, max(-1.0, float(forward[2])))))
+    upright = pose_from_angles((0.0, 0.0, 0.0), yaw_deg, pitch_deg, 0.0)[:3]
+    return yaw_deg, pitch_deg, math.degrees(math.atan2(right @ upright[:, 1], right @ upright[:, 0]))
+
+
 def rigid_pose(rotation: Float64[Tensor, "3 3"], position: Float[Tensor, "3"]) -> Float64[Tensor, "4 4"]:
     """Return `a_from_b` of the rotation of b's axes into a, and of the position of b's origin in a, m."""
     pose = torch.eye(4, dtype=torch.float64)

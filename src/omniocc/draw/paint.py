@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
@@ -71,12 +71,19 @@ def voxel_panorama(
 @lru_cache(maxsize=32)
 def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) -> View:
     """Return rays through the centres of `columns` x `rows` equal parts of a camera's image."""
+    pose, (rays, seen) = rig.ego_from_camera[camera], rays_of_parts(rig, camera, columns, rows)
+    return _view(geometry, pose[:3, 3], rays @ pose[:3, :3].T, seen)
+
+
+def rays_of_parts(
+    rig: Rig, camera: int, columns: int, rows: int
+) -> tuple[Float64[Tensor, "rows columns 3"], Bool[Tensor, "rows columns"]]:
+    """Return unit rays, camera frame, through the centres of equal parts of an image; and where lens and mask see."""
     model = rig.cameras[camera]
     size, parts = torch.tensor([model.width, model.height]), torch.tensor([columns, rows])
     pixels = (pixel_centers(columns, rows, torch.float64) + 0.5) * size / parts - 0.5
     rays, valid = model.unproject(pixels)
-    pose, seen = rig.ego_from_camera[camera], usable(rig.each_mask[camera], pixels, valid)
-    return _view(geometry, pose[:3, 3], rays @ pose[:3, :3].T, seen)
+    return rays, usable(rig.each_mask[camera], pixels, valid)
 
 
 @lru_cache(maxsize=4)
