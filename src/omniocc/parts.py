@@ -3,7 +3,7 @@
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import build, plain, target_of
 
@@ -106,9 +106,10 @@ class Parts:
     def without_pretrained(self) -> "Parts":
         """Return the same parts without pretrained weights, for models whose weights come from a checkpoint.
 
-        A backbone names the arguments that only load weights in `PRETRAINED`; one without it is built as it is.
+        Backbone and depth name the arguments that only load weights in `PRETRAINED`; others are built as they are.
         """
         cfg = self.cfg.copy()
-        for name in getattr(target_of(cfg.model.backbone), "PRETRAINED", ()):
-            cfg.model.backbone[name] = None
+        for key in ("model.backbone", "depth", "model.sketch.depth"):
+            if (part := OmegaConf.select(cfg, key)) is not None:
+                part.update(dict.fromkeys(getattr(target_of(part), "PRETRAINED", ())))
         return Parts(cfg)

@@ -19,6 +19,9 @@ def rigs(make_ring):
     return make_ring(6), make_ring(4, 48, 32)
 
 
+PRETRAINED = "omnimvs depth.pretrained=true depth.weights=null"
+
+
 def padded(rigs: tuple[Rig, ...], channels: int = 3, stride: int = 1) -> torch.Tensor:
     """Random images or maps of a stride; zeros in the padding."""
     batch = torch.zeros(len(rigs), 6, channels, -(-36 // stride), -(-64 // stride))
@@ -29,9 +32,9 @@ def padded(rigs: tuple[Rig, ...], channels: int = 3, stride: int = 1) -> torch.T
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("option", ["truth", "sweep", "mono", "omnimvs", "omnimvs3d"])
+@pytest.mark.parametrize("option", ["truth", "sweep", "mono", "omnimvs", PRETRAINED, "omnimvs3d"])
 def test_depth(option, rigs, smoke):
-    model = build(smoke(f"model/depth={option}", "preset.panorama.height=16").depth).eval()
+    model = build(smoke(*f"model/depth={option}".split(), "preset.panorama.height=16").depth).eval()
     images, true_m = padded(rigs), torch.rand(2, 16, 48) * 20
     both = model(images, rigs, true_m)
     for sample, rig in enumerate(rigs):
@@ -42,10 +45,10 @@ def test_depth(option, rigs, smoke):
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("option", ["mono", "omnimvs", "omnimvs3d"])
+@pytest.mark.parametrize("option", ["mono", "omnimvs", PRETRAINED, "omnimvs3d"])
 @pytest.mark.parametrize("seed", [0, 1])  # with and without mirroring
 def test_losses_of_depth(option, seed, rigs, smoke):
-    model = build(smoke(f"model/depth={option}", "preset.panorama.height=16").depth)
+    model = build(smoke(*f"model/depth={option}".split(), "preset.panorama.height=16").depth)
     images, erp_m, camera_m = padded(rigs), torch.rand(2, 16, 48) * 20, 20 * padded(rigs, 1)[:, :, 0]
     both = model.weighted_losses(images, rigs, erp_m, camera_m, torch.Generator().manual_seed(seed))
     parts = []

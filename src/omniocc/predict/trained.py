@@ -133,7 +133,7 @@ class Trained:
         weights = part_weights(self.checkpoint, "depth")
         self._check("depth")
         with building(self.path, weights):
-            depth = self._parts.depth()
+            depth = self._parts.without_pretrained().depth()
         return load_weights(depth, weights, self.path, "is it a depth network, are overrides needed?").eval()
 
     @cached_property

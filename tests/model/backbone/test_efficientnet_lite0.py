@@ -4,10 +4,12 @@ from importlib.util import find_spec
 import pytest
 import torch
 
+from omniocc.config import ConfigError
 from omniocc.errors import UserError
 from omniocc.model.backbone import EfficientNetLite0
-from omniocc.model.backbone.efficientnet_lite0 import PACKAGE, STRIDES
+from omniocc.model.backbone.efficientnet_lite0 import STRIDES
 from omniocc.model.ops.backbone import on_padded
+from omniocc.model.ops.efficientnet import LAST, PACKAGE
 from omniocc.parts import Parts
 from omniocc.runs.weights import pack_weights, read_weights
 
@@ -47,7 +49,7 @@ def test_maps_are_finest_first_at_the_given_levels(height):
 @pytest.mark.skipif(find_spec(PACKAGE) is None, reason="the extra `pretrained` is not installed")
 def test_maps_are_those_of_the_published_network():
     backbone = build("imagenet").double()
-    maps = on_padded(backbone.encoder, backbone.normalize(waves()), STRIDES)
+    maps = on_padded(backbone.encoder, backbone.normalize(waves()), list(LAST))[1:]
     for level, channels, (mean, absolute, values) in zip(maps, CHANNELS, REFERENCE, strict=True):
         found = [level[0, k, k % level.shape[2], k % level.shape[3]].item() for k in (1, 7, 23)]
         assert level.shape[:2] == (1, channels)
@@ -75,6 +77,17 @@ def test_a_file_of_weights_holds_the_encoder_and_needs_no_package(monkeypatch, t
     loaded.load_state_dict(read_weights(tmp_path / "a.safetensors")[0]["state_dict"])
     for name, value in trained.backbone.encoder.state_dict().items():
         assert torch.equal(loaded.backbone.encoder.state_dict()[name], value.half().to(value.dtype)), name
+
+
+def test_a_depth_network_from_a_checkpoint_needs_no_package_either(monkeypatch, smoke):
+    monkeypatch.setitem(sys.modules, PACKAGE, None)
+    parts = Parts(smoke("depth.pretrained=true"))
+    with pytest.raises(ConfigError, match=r"weights=imagenet needs a package that is missing"):
+        parts.depth()
+    depth = parts.without_pretrained().depth()
+    sketch = parts.without_pretrained().sketch()
+    assert any(name.startswith("features.pretrained.encoder.") for name in depth.state_dict())
+    sketch.depth.load_state_dict(depth.state_dict())
 
 
 def encoder_after_a_step(frozen):

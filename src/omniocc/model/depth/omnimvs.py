@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import ClassVar, Literal
 
 import torch
 from jaxtyping import Bool, Float, Float32
@@ -23,6 +24,7 @@ from omniocc.model.ops.depth.projection import (
 )
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange, Spheres
+from omniocc.model.ops.efficientnet import FrozenLite0
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.padding import upsample_view
@@ -88,10 +90,15 @@ class OmniMVS(SphereNet):
             directions. `nearest`: every other one of those that see a point, by its angle from their axes, so that two
             cameras are compared wherever two see, in any rig.
         hints: whether the network is told what the rig alone says of a direction: parallax, number of cameras, road.
+        pretrained: whether frozen features of EfficientNet-Lite0 are added to those that are compared and passed on.
+        weights: of these frozen features: those of ImageNet, from the extra `pretrained`, or None for random ones.
 
     Raises:
         ValueError: if `pairs` is neither of the two, or groups, stride or panorama do not fit together.
+        UserError: if the weights of the frozen features are not installed.
     """
+
+    PRETRAINED: ClassVar = ("weights",)
 
     def __init__(
         self,
@@ -112,6 +119,8 @@ class OmniMVS(SphereNet):
         mirror: bool,
         pairs: str = "alternate",
         hints: bool = False,
+        pretrained: bool = False,
+        weights: Literal["imagenet"] | None = None,
     ):
         super().__init__(panorama, spheres, loss, window, min_confidence, mirror)
         width, height = panorama.width, panorama.height
@@ -129,7 +138,10 @@ class OmniMVS(SphereNet):
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
         self.pairs, self.hints = pairs, hints
         self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
-        self.features = FeatureNet(feature_channels, match_channels + context_channels, stride=feature_stride)
+        frozen = FrozenLite0(weights) if pretrained else None
+        self.features = FeatureNet(
+            feature_channels, match_channels + context_channels, stride=feature_stride, pretrained=frozen
+        )
         compared = groups * spheres.count
         inputs = compared + 2 * len(CONTEXT_SPHERES) * context_channels + 3 + HINTS * hints
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)

@@ -1,5 +1,6 @@
 """2D layers for panoramas, which wrap around in azimuth, and for images, which do not."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -7,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.model.ops.efficientnet import FrozenLite0
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import Residual, upsample_view
 
@@ -51,8 +53,14 @@ class UNet2d(nn.Module):
         self.up = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in pairs)
         self.decoder = nn.ModuleList(_blocks(fine, blocks, wrap) for fine, _ in pairs)
 
-    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+    def forward(
+        self, maps: Float[Tensor, "B C H W"], added: Sequence[Float[Tensor, "B _ _ _"]] = ()
+    ) -> Float[Tensor, "B C H W"]:
         """Return maps of the same size and channels.
+
+        Args:
+            maps: the input.
+            added: maps of every level, finest first, that are added where it begins; none: nothing is added.
 
         Raises:
             ValueError: if it wraps and the width cannot be halved often enough.
@@ -61,11 +69,12 @@ class UNet2d(nn.Module):
         if self.wrap and maps.shape[-1] % factor:
             raise ValueError(f"{len(self.down) + 1} levels need widths in multiples of {factor}, not {maps.shape[-1]}")
         skips = []
-        maps = self.encoder[0](maps)
-        for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
+        maps = self.encoder[0](maps + added[0] if added else maps)
+        for level, (down, block) in enumerate(zip(self.down, list(self.encoder)[1:], strict=True), 1):
             skips.append(maps)
             height, width = maps.shape[-2:]
-            maps = block(down(F.pad(maps, (0, width % 2, 0, height % 2))))
+            maps = down(F.pad(maps, (0, width % 2, 0, height % 2)))
+            maps = block(maps + added[level] if added else maps)
         for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
             maps = block(skip + upsample_view(up(maps), skip.shape[-2:], (False, self.wrap)))
         return maps
@@ -86,12 +95,20 @@ class FeatureNet(nn.Module):
         out_channels: of the features.
         extra_channels: of input maps besides the colours.
         stride: image pixels per feature along each side, 1 or 2; at 1 each pixel of the finest level gives four.
+        pretrained: frozen features that are added to those of every level; None: nothing is added.
 
     Raises:
-        ValueError: for another stride.
+        ValueError: for another stride, or too many levels for the frozen features.
     """
 
-    def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0, stride: int = STRIDE):
+    def __init__(
+        self,
+        channels: list[int],
+        out_channels: int,
+        extra_channels: int = 0,
+        stride: int = STRIDE,
+        pretrained: FrozenLite0 | None = None,
+    ):
         super().__init__()
         if stride not in (1, STRIDE):
             raise ValueError(f"the stride of the features is {stride}; it must be 1 or {STRIDE}")
@@ -100,6 +117,12 @@ class FeatureNet(nn.Module):
         self.norm = group_norm(channels[0])
         self.net = UNet2d(channels, blocks=1, wrap=False)
         self.out = nn.Conv2d(channels[0], out_channels * (STRIDE // stride) ** 2, 1)
+        self.pretrained = pretrained
+        if pretrained is not None:
+            self.added = nn.ModuleList(
+                nn.Sequential(nn.Conv2d(given, wanted, 1, bias=False), group_norm(wanted))
+                for given, wanted in zip(pretrained.channels(len(channels)), channels, strict=True)
+            )
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
@@ -110,7 +133,9 @@ class FeatureNet(nn.Module):
         colors = (images - 0.45) / 0.25
         inputs = colors if extra is None else torch.cat([colors, extra], 2)
         flat = inputs.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-        maps = self.net(torch.relu(self.norm(self.stem(flat))))
+        given = () if self.pretrained is None else self.pretrained(images, len(self.added))
+        added = [add(maps) for add, maps in zip(self.added, given, strict=True)] if given else ()
+        maps = self.net(torch.relu(self.norm(self.stem(flat))), added)
         return self.enlarge(self.out(maps)).unflatten(0, images.shape[:2])
 
 
