@@ -4,6 +4,7 @@ import difflib
 import math
 import re
 
+from omniocc.bounds import Real
 from omniocc.camera.rig import MAX_CAMERAS
 from omniocc.errors import UserError
 
@@ -102,7 +103,7 @@ MORE = """\
 """
 
 
-def new_rig(lens: str, count: int) -> str:
+def new_rig(lens: str, count: Real) -> str:
     """Return the text of a rig file with `count` cameras of one lens model, evenly around a car and looking outwards.
 
     The entry of the first camera explains every key.
