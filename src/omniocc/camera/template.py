@@ -4,6 +4,7 @@ import difflib
 import math
 import re
 
+from omniocc.bounds import Real
 from omniocc.camera.rig import MAX_CAMERAS
 from omniocc.errors import UserError
 
@@ -66,6 +67,13 @@ coefficients_px: [399.0, 0.0, -8.0, 2.0] # k1 to k4, px per power of a radian
 {CENTER}; WoodScape: cx_offset + width / 2 - 0.5
 aspect: 1.0 # factor on vertical distances from the centre; aspect_ratio of WoodScape
 {SEES}""",
+    "ftheta": f"""# NVIDIA's DriveWorks and NCore; one of the two polynomials, the reference, the other is []
+{SIZE}
+angle_to_pixeldist: [0.0, 392.0, -2.0, -1.0] # px per power of a radian, lowest power first
+pixeldist_to_angle: [] # radians per power of a px
+linear_cde: [1.0, 0.0, 0.0] # c, d, e
+{CENTER}
+{SEES}""",
     "panoramic": """# 360 degrees: columns are azimuths, the middle one looks along the axis; rows are elevations
 width: 2048 # px
 height: 512 # px
@@ -95,7 +103,7 @@ MORE = """\
 """
 
 
-def new_rig(lens: str, count: int) -> str:
+def new_rig(lens: str, count: Real) -> str:
     """Return the text of a rig file with `count` cameras of one lens model, evenly around a car and looking outwards.
 
     The entry of the first camera explains every key.
