@@ -117,8 +117,16 @@ def test_batches_are_disturbed_as_often_as_told(batch):
     way = disturbances("rig", rig_probability=0.3)
     hit = [way(batch, seeded(seed)).candidates is None for seed in range(300)]
     assert sum(hit) / 300 == pytest.approx(0.3, abs=0.07)
-    every = disturbances("camera", "rig", "scale", "image")
+    every = disturbances("camera", "rig", "scale")
     assert all(every(batch, seeded(seed)).candidates is None for seed in range(30))
+
+
+def test_images_change_besides_what_else_is_wrong(batch):
+    alone = disturbances("rig", rig_probability=1.0)(batch, seeded(0))
+    both = disturbances("rig", rig_probability=1.0, image_probability=1.0)(batch, seeded(0))
+    assert torch.equal(alone.images, batch.images)
+    assert not torch.equal(both.images, batch.images)
+    assert all(believed != true for believed, true in zip(both.newest_rigs, batch.newest_rigs, strict=True))
 
 
 @pytest.mark.parametrize("told", [0.0, 1.0])

@@ -25,7 +25,7 @@ Windows = tuple[tuple[Rig, ...], ...]
 
 
 class Disturbances:
-    """Disturb some training batches, each in one way; labels of voxels and true panoramas stay.
+    """Disturb some training batches: cameras, rigs or scale, and images besides; labels of voxels and panoramas stay.
 
     A disturbed batch has no stored ranges, candidates and evidence, so that the model computes them from the disturbed
     images and rigs, as it does in a test. What is wrong is drawn for each sample, and the scale for the batch: images
@@ -43,11 +43,11 @@ class Disturbances:
             depth network, is kept for so many more rigs.
         scale_probability: that images and rigs have another scale.
         scales: the factors of their width and height.
-        image_probability: that images look as other cameras take them.
+        image_probability: that images look as other cameras take them, whatever else is wrong.
         appearance: how these images look.
 
     Raises:
-        ValueError: if the probabilities of the four ways exceed 1 together, or a scale is not above 0.
+        ValueError: if the probabilities of cameras, rigs and scale exceed 1 together, or a scale is not above 0.
     """
 
     def __init__(
@@ -65,11 +65,9 @@ class Disturbances:
         image_probability: Fraction,
         appearance: Appearance,
     ):
-        total = camera_probability + rig_probability + scale_probability + image_probability
+        total = camera_probability + rig_probability + scale_probability
         if total > 1 + 1e-9:
-            raise ValueError(
-                f"the probabilities of lost cameras, rigs, scales and images are {total:g} together, above 1"
-            )
+            raise ValueError(f"the probabilities of lost cameras, rigs and scales are {total:g} together, above 1")
         if not 0 <= focal_percent < 100:
             raise ValueError(f"focal_percent is {focal_percent}; it must be from 0 on and below 100")
         if not scales or min(scales) <= 0:
@@ -78,8 +76,8 @@ class Disturbances:
             (camera_probability, self.lose_cameras),
             (rig_probability, self.believe_wrong_rigs),
             (scale_probability, self.scale_images),
-            (image_probability, self.change_images),
         )
+        self.image_probability = image_probability
         self.most_cameras, self.told_fraction = most_cameras, told_fraction
         self.errors, self.versions = (turn_deg, move_m, focal_percent), versions
         self.scales, self.appearance = tuple(scales), appearance
@@ -90,12 +88,15 @@ class Disturbances:
         Raises:
             UserError: when the focal length of a camera model cannot be wrong.
         """
-        draw = float(torch.rand((), generator=generator))
+        draw, image_draw = torch.rand(2, generator=generator).tolist()
+        chosen = [self.change_images] if image_draw < self.image_probability else []
         for probability, disturb in self.ways:
-            if draw < probability:
-                return disturb(batch, generator)._replace(depth_range_m=None, candidates=None, evidence=None)
+            if 0 <= draw < probability:
+                chosen.append(disturb)
             draw -= probability
-        return batch
+        for disturb in chosen:
+            batch = disturb(batch, generator)
+        return batch._replace(depth_range_m=None, candidates=None, evidence=None) if chosen else batch
 
     def lose_cameras(self, batch: Batch, generator: torch.Generator) -> Batch:
         """Return samples without some cameras, which only some rigs tell; their pixels have no labels."""
