@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.bounds import Size
 from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, on_padded
-from omniocc.model.ops.efficientnet import LAST, MEAN, STD, Encoder, imagenet_weights
+from omniocc.model.ops.efficientnet import LAST, MEAN, STD, encoder_with
 from omniocc.model.ops.padded import FeatureMaps
 
 STRIDES = [4, 8, 16]
@@ -39,10 +39,7 @@ class EfficientNetLite0(nn.Module):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
         check_finest_first(list(levels))
         self.channels, self.levels, self.frozen = channels, list(levels), frozen
-        self.encoder = Encoder()
-        if weights is not None:
-            self.encoder.load_state_dict(imagenet_weights(self.encoder))
-        self.encoder.requires_grad_(not frozen)
+        self.encoder = encoder_with(weights).requires_grad_(not frozen)
         self.normalize = Normalize(self.encoder, MEAN, STD)
         self.fpn = FPN([LAST[stride] for stride in STRIDES], channels, [STRIDES.index(level) for level in levels])
         self.train()

