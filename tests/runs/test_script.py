@@ -208,7 +208,8 @@ def test_a_terminal_of_any_encoding_shows_the_results(environment, last, error, 
 
 
 READS = """
-import os, signal, time
+import os, signal, socket, time
+from multiprocessing.resource_sharer import DupFd
 from pathlib import Path
 import torch
 from torch.utils.data import Dataset, default_collate
@@ -226,9 +227,17 @@ class Slow(Dataset):
         time.sleep(0.05)
         return torch.ones(32)
 
+def hang_up(handle):
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.connect(handle._id[0])
+    time.sleep(0.5)
+    raise KeyboardInterrupt
+
 @lines_not_tracebacks
 def main():
     loader = Loader(Slow(), 1, 2, default_collate)
+    if HANGS_UP:
+        DupFd.detach = hang_up
     if not IN_LIGHTNING:
         return list(loader)
     from lightning.pytorch import Trainer
@@ -243,9 +252,11 @@ if __name__ == "__main__":
 """
 
 
-def reader(folder: Path, dies: bool = False, in_lightning: bool = False) -> subprocess.Popen[str]:
+def reader(
+    folder: Path, dies: bool = False, in_lightning: bool = False, hangs_up: bool = False
+) -> subprocess.Popen[str]:
     """Start a script in a folder that reads by two processes, as the leader of a process group."""
-    (folder / "reads.py").write_text(f"DIES, IN_LIGHTNING = {dies}, {in_lightning}\n{READS}")
+    (folder / "reads.py").write_text(f"DIES, IN_LIGHTNING, HANGS_UP = {dies}, {in_lightning}, {hangs_up}\n{READS}")
     return subprocess.Popen(
         [sys.executable, "reads.py"],
         cwd=folder,
@@ -291,6 +302,12 @@ def test_ctrl_c_of_a_terminal_is_one_line(tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     assert process.communicate(timeout=60) == ("", "stopped by Ctrl-C\n")
     assert process.returncode == 130
+
+
+@pytest.mark.whole_runs
+def test_ctrl_c_while_a_batch_is_handed_over_is_one_line(tmp_path):
+    output, errors = reader(tmp_path, hangs_up=True).communicate(timeout=120)
+    assert (output, errors) == ("", "stopped by Ctrl-C\n")
 
 
 def test_ctrl_c_while_a_script_imports_is_a_line(tmp_path):

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, partial
@@ -9,6 +10,7 @@ from io import BytesIO
 from multiprocessing.queues import Queue
 from select import select
 from threading import Thread
+from types import TracebackType
 from typing import Any
 
 import torch
@@ -135,6 +137,16 @@ def _start_worker(trainer: int, _worker: int) -> None:
     limit_threads()
     Thread(target=_end_with, args=(trainer,), daemon=True).start()
     Queue._on_queue_feeder_error = staticmethod(_end)  # type: ignore[attr-defined]  # it would drop the batch
+    sys.excepthook = _show_unless_left
+
+
+def _show_unless_left(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Show an error of a thread, unless the training process has hung up on the one that hands over shared memory.
+
+    It does so when Ctrl-C ends it in between. If a connection breaks otherwise, the training process raises the error.
+    """
+    if not issubclass(kind, (ConnectionError, EOFError)):
+        sys.__excepthook__(kind, error, trace)
 
 
 def _end(error: BaseException, _batch: Any) -> None:
