@@ -1,0 +1,191 @@
+"""Train the weights in the package further for one's own cameras, in a given time: the work of `src/adapt.py`."""
+
+import json
+import math
+import shlex
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import compose_config
+from omniocc.data.dataset import read_images
+from omniocc.data.source import MadeScenes, SceneSource
+from omniocc.data.source.cameras import frames_in, training_frames
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
+from omniocc.parallel import usable_cores
+from omniocc.parts import Parts
+from omniocc.predict.options import load_rig
+from omniocc.progress import clock
+from omniocc.runs.checkpoint_io import BEST
+from omniocc.runs.folder import run_hash, short_hash
+from omniocc.runs.results import IMAGES, load_results
+from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
+from omniocc.runs.trust import CONF
+from omniocc.train.command import step_seconds, train
+from omniocc.train.depth import DepthTask
+from omniocc.train.stage import Stage
+from omniocc.train.stages import predict_range_m, stages_of
+
+START = "any-rig"
+"""Weights from which all stages start, and the option in `conf/adapt`."""
+PIXELS = 256 * 144
+"""Of an image, as many as of the images that these weights were trained with."""
+FEWEST_MINUTES = 3.0
+TEST_SHARE, FRAMES_SHARE = 0.15, 0.25
+"""Of all time: about this for validation and tests, and at most this for making training frames and their ranges."""
+SHARES = {"sketch": 0.25, "occupancy": 0.75}
+"""Of the time that is left for training."""
+SCENES = 16, 480
+"""Fewest and most training streets."""
+STEP = 10
+"""Steps are a multiple of this, so that a training is validated five times."""
+
+
+class Plan(NamedTuple):
+    """How the time is used.
+
+    Attributes:
+        train_scenes: streets of the virtual world for training; None for recordings.
+        steps: of each stage that is trained.
+    """
+
+    train_scenes: int | None
+    steps: dict[str, int]
+
+    @property
+    def overrides(self) -> list[str]:
+        """Return the overrides of `src/train.py`."""
+        scenes = [] if self.train_scenes is None else [f"data.source.train_scenes={self.train_scenes}"]
+        return [*scenes, *(f"stages.{stage}.max_steps={steps}" for stage, steps in self.steps.items())]
+
+
+def adapt(rig: str | None, minutes: float, words: Sequence[str]) -> None:
+    """Plan the time, train, test on other streets, print a table and the command that predicts with the result.
+
+    The plan is kept: the same call goes on after a stop. With `plan=true` among the words it is printed only.
+
+    Args:
+        rig: rig file, or calibration file of another tool; None for recordings, which have a rig.
+        minutes: from the first line to the table, about.
+        words: further overrides of `src/train.py`, such as `data=recorded`.
+
+    Raises:
+        UserError: when the time is too short, or there are neither cameras nor recordings.
+    """
+    if not minutes >= FEWEST_MINUTES:
+        raise UserError(f"minutes={minutes:g}: at least {FEWEST_MINUTES:g} are needed")
+    base = [f"+adapt={START}", *rig_overrides(rig, words), *words]
+    cfg = compose_config(CONF, "train", base)
+    source = Parts(cfg).source()
+    folder = Path(cfg.paths.runs) / f"adapt-{short_hash([base, source.fingerprint, minutes])}"
+    file = folder / "plan.json"
+    if file.is_file():
+        plan = Plan(**json.loads(file.read_text("utf-8")))
+    else:
+        plan = planned(cfg, source, 60 * minutes)
+        if cfg.plan:
+            return
+        atomic_write(file, json.dumps(plan._asdict()))
+    untrained = dict.fromkeys(plan.steps, 0)
+    before, after = (trained([*base, *each.overrides]) for each in (plan._replace(steps=untrained), plan))
+    figures = load_results(after)[1]
+    table = comparison_cells(
+        {
+            BASELINE: (figures, "prior"),
+            f"weights '{START}' as they are": (load_results(before)[1], "test"),
+            f"adapted, {minutes:g} min": (figures, "test"),
+            BOUND: (figures, "label"),
+        }
+    )
+    atomic_write(after / "adapted.md", markdown(*table))
+    print("\n" + in_columns(*table))
+    print(f"images    {after / IMAGES}")
+    what = "recorded=my_scenes" if rig is None else f"rig={shlex.quote(rig)} images=my_images"
+    print(f"predict   python src/predict.py occupancy checkpoint={after / BEST} {what}")
+
+
+def rig_overrides(rig: str | None, words: Sequence[str]) -> list[str]:
+    """Return the overrides that make the virtual world record with a rig, at the size of the images in training.
+
+    Raises:
+        UserError: when the rig is missing, or is given beside recordings.
+    """
+    recorded = any(word.startswith("data=") for word in words)
+    if recorded != (rig is None):
+        raise UserError("give your cameras, rig=my_rig.yaml, or recordings, data=recorded data.source.root=my_scenes")
+    if rig is None:
+        return []
+    first = load_rig(rig).cameras[0]
+    scale = math.sqrt(PIXELS / (first.width * first.height))
+    width, height = (2 * round(scale * side / 2) for side in (first.width, first.height))
+    quoted = rig.replace("'", r"\'")
+    return [f"data.source.rig='{quoted}'", f"data.source.image_size=[{width},{height}]"]
+
+
+def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
+    """Measure what a frame and a step cost on this machine, and share the time; what is rendered for it is used later.
+
+    Raises:
+        UserError: when no time is left for training.
+    """
+    print(f"plan      some frames and steps are timed, to fill {clock(seconds)}", flush=True)
+    parts = Parts(cfg)
+    begin_s = time.monotonic()
+    stages = {stage.NAME: stage for stage in stages_of(parts, parts.data())}
+    steps_s = {name: step_seconds(stages[name]) for name in SHARES}
+    alone = parts.source(workers=0)
+    frame_s, frame_bytes = frame_cost(alone, stages["depth"])
+    left_s = (1 - TEST_SHARE) * seconds - (time.monotonic() - begin_s)
+    others = sum(frames_in(source, split) for split in ("val", "test"))
+    scenes = None
+    frames = training_frames(source)
+    if isinstance(source, MadeScenes):
+        each = frames // len(source.planned("train"))
+        fitting = int((FRAMES_SHARE * seconds / frame_s - others) / each)
+        scenes = min(max(fitting, SCENES[0]), SCENES[1])
+        frames = scenes * each
+    left_s -= (frames + others) * frame_s
+    steps = {name: int(share * left_s / steps_s[name]) // STEP * STEP for name, share in SHARES.items()}
+    if min(steps.values()) < STEP:
+        raise UserError(f"minutes={seconds / 60:g}: no time is left for training on this machine; give more")
+    made = f"{clock((frames + others) * frame_s)}, {(frames + others) * frame_bytes / 1e6:.0f} MB in {source.folder}"
+    print(f"          {frames} frames for training and {others} of other streets: {made}")
+    for name, count in steps.items():
+        print(f"          {name} {count} steps of {steps_s[name]:.2f} s: {clock(count * steps_s[name])}")
+    return Plan(scenes, steps)
+
+
+def frame_cost(alone: SceneSource, depth: Stage) -> tuple[float, float]:
+    """Return the seconds that a frame and its ranges take on all cores, and its bytes on the disk.
+
+    `alone` is a source without processes of its own, whose start would take longer than two scenes.
+    """
+    made_s, size = 0.0, 0.0
+    if isinstance(alone, MadeScenes):
+        for name in list(alone.planned("train"))[:2]:  # the first one imports and compiles
+            begin_s = time.monotonic()
+            (scene,) = alone.made("train", [name])
+            made_s = (time.monotonic() - begin_s) / len(scene) / usable_cores()
+        size = sum(file.stat().st_size for file in alone.folder.glob("train-*/*")) / 2 / len(scene)
+    else:
+        scene = alone.scenes("train")[0]
+    task = depth.task(scene.rigs[0]).eval()
+    with torch.inference_mode():
+        for _ in range(2):  # the first one makes tables of the rig
+            begin_s = time.monotonic()
+            predict_range_m(cast(DepthTask, task), scene.rigs[0], read_images(scene, 0).unsqueeze(0), None)
+    return made_s + time.monotonic() - begin_s, size
+
+
+def trained(overrides: Sequence[str]) -> Path:
+    """Run a training, unless it is finished, and return its folder."""
+    print(f"command   python src/train.py {shlex.join(overrides)}", flush=True)
+    cfg = compose_config(CONF, "train", overrides)
+    train(cfg)
+    config = cast(dict, OmegaConf.to_container(cfg, resolve=True))
+    return Path(cfg.paths.runs) / f"{cfg.name}-{run_hash(config, Parts(cfg).source().fingerprint)}"

@@ -1,0 +1,122 @@
+"""How the time of an adaptation is shared, and what it shows."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from omniocc import adapt as module
+from omniocc.adapt import Plan, adapt, planned, rig_overrides
+from omniocc.config import check_root, compose_config
+from omniocc.errors import UserError
+from omniocc.parts import Parts
+from omniocc.predict.rig_file import write_rig_file
+from omniocc.runs.trust import CONF
+from omniocc.train.start import load_fitting
+
+SCORES = ("rayiou", "rayiou_0-8.5m", "lidar/rayiou", "voxel/iou", "voxel/miou")
+
+
+@pytest.fixture
+def rig(tmp_path):
+    path = tmp_path / "my rig.yaml"
+    write_rig_file("kannala_brandt", 3, path, False)
+    return str(path)
+
+
+@pytest.fixture
+def words(tmp_path):
+    return [f"paths.runs={tmp_path}/runs", f"paths.data={tmp_path}/data", "data.source.frames_per_scene=3"]
+
+
+@pytest.fixture
+def costs(monkeypatch):
+    """Seconds of a step of each stage and of a frame, and bytes of a frame, which change what is measured."""
+    found = {"sketch": 0.5, "occupancy": 1.0, "frame": (0.2, 1e5)}
+    monkeypatch.setattr(module, "step_seconds", lambda stage: found[stage.NAME])
+    monkeypatch.setattr(module, "frame_cost", lambda alone, depth: found["frame"])
+    return found
+
+
+def plan_of(rig, words, minutes) -> Plan:
+    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig, words), *words])
+    return planned(cfg, Parts(cfg).source(), 60 * minutes)
+
+
+def test_images_have_the_rigs_shape_and_as_many_pixels_as_in_training(rig):
+    named, size = rig_overrides(rig, [])
+    assert named == f"data.source.rig='{rig}'"
+    assert size == "data.source.image_size=[222,166]"  # of 1280 x 960 px
+
+
+@pytest.mark.parametrize("given", [(None, []), ("my_rig.yaml", ["data=recorded"])])
+def test_cameras_or_recordings_are_needed(given):
+    with pytest.raises(UserError, match=r"rig=my_rig.yaml, or recordings"):
+        rig_overrides(*given)
+
+
+def test_a_rig_that_does_not_exist_is_a_line(words):
+    with pytest.raises(UserError, match=r"gone\.yaml"):
+        adapt("gone.yaml", 30, words)
+
+
+def test_the_plan_fills_the_time(rig, words, costs, capsys):
+    plan = plan_of(rig, words, 30)
+    frames = 3 * (plan.train_scenes + 24)
+    used_s = 0.2 * frames + sum(costs[name] * steps for name, steps in plan.steps.items())
+    assert 0.8 * 1800 < used_s < 0.86 * 1800  # the rest is for validation and tests
+    assert plan.steps["occupancy"] * 1.0 == pytest.approx(3 * plan.steps["sketch"] * 0.5, rel=0.05)
+    assert {steps % 10 for steps in plan.steps.values()} == {0}
+    assert f"{frames * 1e5 / 1e6:.0f} MB" in capsys.readouterr().out
+
+
+def test_more_time_gives_more_streets_up_to_a_limit(rig, words, costs):
+    assert [plan_of(rig, words, minutes).train_scenes for minutes in (3, 10, 30, 300)] == [51, 226, 480, 480]
+
+
+def test_too_little_time_is_a_line(rig, words, costs):
+    costs["occupancy"] = 60.0
+    with pytest.raises(UserError, match=r"^minutes=5: no time is left for training"):
+        plan_of(rig, words, 5)
+    with pytest.raises(UserError, match="minutes=1: at least 3"):
+        adapt(rig, 1, words)
+
+
+def test_the_network_takes_all_of_the_weights(rig, words):
+    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig, words), *words])
+    check_root(cfg)
+    parts = Parts(cfg)
+    assert "new are" not in load_fitting(parts.model(), cfg.weights, parts.config)
+
+
+def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, costs, monkeypatch, tmp_path, capsys):
+    trained = []
+
+    def train(cfg):
+        trained.append(OmegaConf.to_container(cfg.stages))
+
+    def results(folder):
+        assert folder.name.startswith("adapted-")
+        adapted = trained[-1]["occupancy"]["max_steps"] > 0
+        return {}, {f"{row}/{key}": 0.4 if adapted else 0.2 for row in ("test", "prior", "label") for key in SCORES}
+
+    monkeypatch.setattr(module, "train", train)
+    monkeypatch.setattr(module, "load_results", results)
+    (tmp_path / "runs").mkdir()
+    for _ in range(2):
+        adapt(rig, 30, words)
+        costs["occupancy"] *= 2  # another machine, or a busy one
+    steps = trained[1]["occupancy"]["max_steps"]
+    assert [stages["occupancy"]["max_steps"] for stages in trained] == [0, steps, 0, steps]
+    assert steps > 0
+    assert {stages["depth"]["max_steps"] for stages in trained} == {0}
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1].startswith("predict   python src/predict.py occupancy checkpoint=")
+    assert lines[-1].endswith(f"rig='{rig}' images=my_images")
+    assert len(list((tmp_path / "runs").glob("adapt-*/plan.json"))) == 1
+    (page,) = (tmp_path / "runs").glob("adapted-*/adapted.md")
+    assert "adapted, 30 min" in page.read_text()
+
+
+def test_a_plan_alone_writes_nothing(rig, words, costs, tmp_path, capsys):
+    adapt(rig, 30, [*words, "plan=true"])
+    assert "occupancy" in capsys.readouterr().out
+    assert not (tmp_path / "runs").exists()
