@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint_io import write_checkpoint
@@ -157,6 +158,22 @@ def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
     model, config = given()
     with pytest.raises(UserError, match=r"size mismatch.*that it has there: .*depth\.hints=False \(there True\)"):
         start_from(model, "any-rig", "depth", config)
+
+
+def test_features_added_to_a_trained_network_change_nothing_at_first(smoke):
+    own, more = (
+        ("preset=tiny", "depth.hints=true", "depth.pairs=nearest"),
+        ("depth.pretrained=true", "depth.weights=null"),
+    )
+    without, with_features = (smoke(*own, *others) for others in ((), more))
+    first, second = build(without.depth), build(with_features.depth)
+    for model, cfg in ((first, without), (second, with_features)):
+        start_from(model, "any-rig", "depth", plain(cfg))
+    rig = Rig.load("fisheye6").resized(64, 36)
+    images = torch.rand(1, len(rig.cameras), 3, 36, 64, generator=torch.Generator().manual_seed(0))
+    ranges_m = [model.eval()(images, (rig,)).range_m for model in (first, second)]
+    assert torch.equal(*ranges_m)
+    assert second.features.added[0][1].weight.requires_grad
 
 
 def test_nothing_that_a_checkpoint_names_is_imported_to_compare_networks(smoke, tmp_path):

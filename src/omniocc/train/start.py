@@ -39,6 +39,7 @@ def load_first_weights(
 def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, Any]) -> str | None:
     """Load a stage's weights from a checkpoint of it or a later stage; the depth in a sketch keeps those that it has.
 
+    What a network has more than that of the checkpoint, and adds nothing at first, keeps its first weights.
     Weights can fit a network that computes something else from them, because it pairs other cameras, for example.
 
     Returns:
@@ -51,8 +52,9 @@ def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, 
     own = part_weights(trained, stage)
     place, left_out = _network(stage, config)
     other = list(_differing(*(_part(one, place, left_out) for one in (plain(trained.config), config))))
-    inner = model.state_dict() if stage == "sketch" else {}
-    own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
+    inner, new = model.state_dict(), tuple(getattr(model, "ADDS_NOTHING_AT_FIRST", ()))
+    own |= {name: value for name, value in inner.items() if stage == "sketch" and name.startswith("depth.")}
+    own |= {name: value for name, value in inner.items() if name.startswith(new) and name not in own}
     try:
         model.load_state_dict(own)
     except RuntimeError as error:

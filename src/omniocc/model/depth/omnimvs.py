@@ -99,6 +99,8 @@ class OmniMVS(SphereNet):
     """
 
     PRETRAINED: ClassVar = ("weights",)
+    ADDS_NOTHING_AT_FIRST: ClassVar = ("features.pretrained.", "features.added.")
+    """Beginnings of the names of weights that a network which was trained without `pretrained` may lack."""
 
     def __init__(
         self,

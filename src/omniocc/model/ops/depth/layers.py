@@ -123,6 +123,8 @@ class FeatureNet(nn.Module):
                 nn.Sequential(nn.Conv2d(given, wanted, 1, bias=False), group_norm(wanted))
                 for given, wanted in zip(pretrained.channels(len(channels)), channels, strict=True)
             )
+            for *_, norm in self.added:
+                nn.init.zeros_(norm.weight)  # a network that was trained without them stays as it is at first
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
