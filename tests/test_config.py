@@ -19,11 +19,14 @@ from omniocc.runs.folder import run_hash
 from omniocc.train.stage_keys import stage_keys
 
 CONF = Path(__file__).parents[1] / "conf"
-OTHERS = ("preset", "ablation", "demo", "trainer", "hydra")
+OTHERS = ("preset", "ablation", "demo", "adapt", "trainer", "hydra")
 """Folders whose files are no options of a slot."""
+LINK = CONF / "appearance" / "disturbed.yaml"
+"""It takes all of another option."""
 OPTIONS = sorted(
     path for path in CONF.rglob("*.yaml") if path.parent != CONF and path.parts[len(CONF.parts)] not in OTHERS
 )
+OPTIONS.remove(LINK)
 
 
 def loaded(path: Path) -> dict:
