@@ -49,7 +49,8 @@ def test_a_recipe_may_be_like_another_and_a_wrong_name_is_answered(tool):
     assert tool.recipe_of("tiny-depth")["overrides"] == tool.recipe_of("tiny")["overrides"]
     assert tool.recipe_of("tiny-depth")["stage"] == "depth"
     with pytest.raises(
-        UserError, match=r"NAME=large: choose one of any-rig, any-rig-480, any-rig-8000, any-rig-depth, tiny, tiny-depth"
+        UserError,
+        match=r"NAME=large: choose one of any-rig, any-rig-480, any-rig-8000, any-rig-depth, tiny, tiny-depth",
     ):
         tool.recipe_of("large")
 

@@ -1,5 +1,7 @@
 """Ranges computed around the middle height of the cameras, and re-projected to the ego origin."""
 
+from typing import ClassVar
+
 from jaxtyping import Float
 from torch import Tensor
 
@@ -24,6 +26,9 @@ class Centred(OmniMVS):
     at one height below the origin. The losses are those of `OmniMVS`, of ranges around the ego origin. Arguments as in
     `OmniMVS`.
     """
+
+    LEAVES_RAYS_OUT: ClassVar[bool] = True
+    """Rays on which no re-projected point falls have no range; errors of range do not count them."""
 
     def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
         """Return depth from RGB in [0, 1], for samples of one rig without padding."""
