@@ -204,8 +204,8 @@ class RayIoU(CountMetric):
     def protocol(self) -> str:
         """Return how this process counted what it was given: rays, origins, thresholds, masks and classes, in one line.
 
-        Two scores on the same grid and rays are comparable if these lines are equal; the same network scores .445 from
-        the origin of its own time and .370 from past and future ones too (docs/rayiou.md).
+        Two scores on the same grid and rays are comparable if these lines are equal: rays from other origins give one
+        network another score (docs/rayiou.md, Origins).
         """
         return self.counter.protocol(self.seen)
 
