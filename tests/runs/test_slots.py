@@ -30,6 +30,16 @@ def test_slots_are_the_parts_of_the_model():
     assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "dense"}
 
 
+@pytest.mark.parametrize(("switches", "option"), [((False, False), "none"), ((False, True), "sketch_and_pixels")])
+def test_hints_that_are_all_off_are_the_option_none(switches, option):
+    hints = {
+        "_target_": "omniocc.model.hints.SketchAndPixels",
+        **dict(zip(("queries", "volume"), switches, strict=True)),
+    }
+    sketch = {"_target_": "omniocc.model.sketch.Dense"}
+    assert slots_of({"model": {"hints": hints, "sketch": sketch}, "depth": {}})["hints"] == option
+
+
 def test_a_line_names_the_parts_and_the_voxels():
     model = {
         "geometry": {"_target_": "omniocc.geometry.Cylinder", "shape": [4, 6, 2]},

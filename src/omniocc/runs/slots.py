@@ -41,7 +41,10 @@ def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
     nodes = {slot: node for slot, node in config["model"].items() if isinstance(node, Mapping) and "_target_" in node}
     if sketch_learns(config):
         nodes["depth"] = config["depth"]
-    return {slot: option_of(node) for slot, node in nodes.items()}
+    found = {slot: option_of(node) for slot, node in nodes.items()}
+    if "hints" in nodes and not any(value for key, value in nodes["hints"].items() if key != "_target_"):
+        found["hints"] = "none"  # the same class with all switches off
+    return found
 
 
 def slots_line(config: Mapping[str, Any]) -> str:
