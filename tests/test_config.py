@@ -367,3 +367,11 @@ def test_a_number_without_sense_is_named_with_its_range(override, problem, compo
 )
 def test_numbers_at_the_ends_of_their_range_are_taken(override, composed):
     check_root(composed(override))
+
+
+@pytest.mark.parametrize("model", ["default", "adaptiveocc", "fosocc"])
+def test_a_tree_can_be_resolved_in_place(model, composed):
+    """As `python src/train.py --cfg job --resolve` does."""
+    cfg = composed(f"model={model}", "preset=tiny")
+    OmegaConf.resolve(cfg)
+    assert list(cfg.model.refiner.channels)
