@@ -135,7 +135,8 @@ class Backbone(Protocol):
 class Depth(Protocol):
     """Estimate a panorama of ranges in the ego frame.
 
-    An option that finds ranges by comparing cameras says so by `COMPARES_CAMERAS = True`.
+    An option that finds ranges by comparing cameras says so by `COMPARES_CAMERAS = True`, and one whose ranges that are
+    not valid mean nothing by `LEAVES_RAYS_OUT = True`; errors of range do not count these.
 
     Attributes:
         NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.
@@ -158,7 +159,8 @@ class Depth(Protocol):
 class LearnedDepth(Depth, Learns, Protocol):
     """A depth option with weights, trained in the depth stage.
 
-    One whose losses use the panorama alone says so by `NEEDS_CAMERA_RANGES = False`.
+    One whose losses use the panorama alone says so by `NEEDS_CAMERA_RANGES = False`. `ADDS_NOTHING_AT_FIRST` has the
+    beginnings of names of weights that a checkpoint from which training starts may lack.
     """
 
     def weighted_losses(
