@@ -119,12 +119,7 @@ class FeatureNet(nn.Module):
         self.out = nn.Conv2d(channels[0], out_channels * (STRIDE // stride) ** 2, 1)
         self.pretrained = pretrained
         if pretrained is not None:
-            self.added = nn.ModuleList(
-                nn.Sequential(nn.Conv2d(given, wanted, 1, bias=False), group_norm(wanted))
-                for given, wanted in zip(pretrained.channels(len(channels)), channels, strict=True)
-            )
-            for *_, norm in self.added:
-                nn.init.zeros_(norm.weight)  # a network that was trained without them stays as it is at first
+            self.added = nn.ModuleList(map(_adding_nothing, pretrained.channels(len(channels)), channels))
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
@@ -139,6 +134,13 @@ class FeatureNet(nn.Module):
         added = [add(maps) for add, maps in zip(self.added, given, strict=True)] if given else ()
         maps = self.net(torch.relu(self.norm(self.stem(flat))), added)
         return self.enlarge(self.out(maps)).unflatten(0, images.shape[:2])
+
+
+def _adding_nothing(inputs: int, outputs: int) -> nn.Sequential:
+    """Return layers whose maps are 0 at first, so that a network that was trained without them stays as it is."""
+    norm = group_norm(outputs)
+    nn.init.zeros_(norm.weight)
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), norm)
 
 
 def window_argmax(
