@@ -1,10 +1,15 @@
 """How the time of an adaptation is shared, and what it shows."""
 
+from contextlib import nullcontext
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 from omegaconf import OmegaConf
 
 from omniocc import adapt as module
-from omniocc.adapt import Plan, adapt, planned, rig_overrides
+from omniocc.adapt import Plan, adapt, check_road, planned, rig_overrides, with_road_in_file
+from omniocc.camera import Rig
 from omniocc.config import check_root, compose_config
 from omniocc.errors import UserError
 from omniocc.parts import Parts
@@ -37,25 +42,37 @@ def costs(monkeypatch):
 
 
 def plan_of(rig, words, minutes) -> Plan:
-    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig, words), *words])
+    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words])
     return planned(cfg, Parts(cfg).source(), 60 * minutes)
 
 
 def test_images_have_the_rigs_shape_and_as_many_pixels_as_in_training(rig):
-    named, size = rig_overrides(rig, [])
+    named, size = rig_overrides(rig)
     assert named == f"data.source.rig='{rig}'"
     assert size == "data.source.image_size=[222,166]"  # of 1280 x 960 px
 
 
 @pytest.mark.parametrize("given", [(None, []), ("my_rig.yaml", ["data=recorded"])])
 def test_cameras_or_recordings_are_needed(given):
+    rig, words = given
     with pytest.raises(UserError, match=r"rig=my_rig.yaml, or recordings"):
-        rig_overrides(*given)
+        adapt(rig, None, 30, words)
 
 
-def test_a_rig_that_does_not_exist_is_a_line(words):
+def test_a_rig_that_does_not_exist_is_a_line():
     with pytest.raises(UserError, match=r"gone\.yaml"):
-        adapt("gone.yaml", 30, words)
+        rig_overrides("gone.yaml")
+
+
+def test_the_height_of_the_road_must_be_known(rig, tmp_path):
+    own = Rig.load(rig)
+    replace(own, road_z_m=None).save(tmp_path / "level.yaml")
+    with pytest.raises(UserError, match=r"level.yaml does not state the height of the road.*road_z_m"):
+        rig_overrides(str(tmp_path / "level.yaml"))
+    file = with_road_in_file(str(tmp_path / "level.yaml"), -1.4, tmp_path / "runs")
+    assert Rig.load(file) == replace(own, road_z_m=-1.4)
+    assert rig_overrides(file)[0] == f"data.source.rig='{file}'"
+    assert rig_overrides("fisheye6")  # whose frame is that of the virtual world
 
 
 def test_the_plan_fills_the_time(rig, words, costs, capsys):
@@ -77,11 +94,11 @@ def test_too_little_time_is_a_line(rig, words, costs):
     with pytest.raises(UserError, match=r"^minutes=5: no time is left for training"):
         plan_of(rig, words, 5)
     with pytest.raises(UserError, match="minutes=1: at least 3"):
-        adapt(rig, 1, words)
+        adapt(rig, None, 1, words)
 
 
 def test_the_network_takes_all_of_the_weights(rig, words):
-    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig, words), *words])
+    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words])
     check_root(cfg)
     parts = Parts(cfg)
     assert "new are" not in load_fitting(parts.model(), cfg.weights, parts.config)
@@ -102,7 +119,7 @@ def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, c
     monkeypatch.setattr(module, "load_results", results)
     (tmp_path / "runs").mkdir()
     for _ in range(2):
-        adapt(rig, 30, words)
+        adapt(rig, None, 30, words)
         costs["occupancy"] *= 2  # another machine, or a busy one
     steps = trained[1]["occupancy"]["max_steps"]
     assert [stages["occupancy"]["max_steps"] for stages in trained] == [0, steps, 0, steps]
@@ -116,7 +133,28 @@ def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, c
     assert "adapted, 30 min" in page.read_text()
 
 
+@pytest.mark.parametrize(("road_z_m", "fits"), [(-2.2, True), (-2.05, True), (None, True), (-1.6, False)])
+def test_recordings_need_the_road_where_the_weights_expect_it(road_z_m, fits, rig, monkeypatch):
+    scene = SimpleNamespace(rigs=[replace(Rig.load(rig), road_z_m=road_z_m)])
+    spec = SimpleNamespace(road_of=lambda rig: rig.road_z_m)
+    source = SimpleNamespace(prepare=lambda: None, scenes=lambda split: [scene], spec=spec, folder="my_scenes")
+    with (
+        nullcontext() if fits else pytest.raises(UserError, match=r"my_scenes: the road is 1.6 m .*origin_above_road_m")
+    ):
+        check_road(source)
+
+
+def test_recordings_start_from_the_same_weights():
+    own = ["data=recorded", "data.source.root=my_scenes"]
+    recorded, rendered = (
+        compose_config(CONF, "train", [f"+adapt={name}", *own[:count]])
+        for name, count in (("any-rig-recorded", 2), ("any-rig", 0))
+    )
+    for key in ("model", "depth", "stages", "weights", "name"):
+        assert recorded[key] == rendered[key]
+
+
 def test_a_plan_alone_writes_nothing(rig, words, costs, tmp_path, capsys):
-    adapt(rig, 30, [*words, "plan=true"])
+    adapt(rig, None, 30, [*words, "plan=true"])
     assert "occupancy" in capsys.readouterr().out
     assert not (tmp_path / "runs").exists()

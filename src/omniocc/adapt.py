@@ -14,11 +14,12 @@ from omegaconf import DictConfig, OmegaConf
 from omniocc.config import compose_config
 from omniocc.data.dataset import read_images
 from omniocc.data.source import MadeScenes, SceneSource
-from omniocc.data.source.cameras import frames_in, training_frames
+from omniocc.data.source.cameras import first_rig, frames_in, training_frames
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
+from omniocc.predict.input.sequence import with_road
 from omniocc.predict.options import load_rig
 from omniocc.progress import clock
 from omniocc.runs.checkpoint_io import BEST
@@ -32,9 +33,11 @@ from omniocc.train.stage import Stage
 from omniocc.train.stages import predict_range_m, stages_of
 
 START = "any-rig"
-"""Weights from which all stages start, and the option in `conf/adapt`."""
+"""Weights from which all stages start, and the beginning of the options in `conf/adapt`."""
 PIXELS = 256 * 144
 """Of an image, as many as of the images that these weights were trained with."""
+ORIGIN_ABOVE_ROAD_M, ROAD_WITHIN_M = 2.2, 0.2
+"""Height at which these weights expect the origin, as in `conf/adapt`, and how much another one may differ."""
 FEWEST_MINUTES = 3.0
 TEST_SHARE, FRAMES_SHARE = 0.15, 0.25
 """Of all time: about this for validation and tests, and at most this for making training frames and their ranges."""
@@ -64,24 +67,33 @@ class Plan(NamedTuple):
         return [*scenes, *(f"stages.{stage}.max_steps={steps}" for stage, steps in self.steps.items())]
 
 
-def adapt(rig: str | None, minutes: float, words: Sequence[str]) -> None:
+def adapt(rig: str | None, road_z_m: float | None, minutes: float, words: Sequence[str]) -> None:
     """Plan the time, train, test on other streets, print a table and the command that predicts with the result.
 
     The plan is kept: the same call goes on after a stop. With `plan=true` among the words it is printed only.
 
     Args:
         rig: rig file, or calibration file of another tool; None for recordings, which have a rig.
+        road_z_m: height of the road in the frame of the rig, m; None: as the rig file says.
         minutes: from the first line to the table, about.
         words: further overrides of `src/train.py`, such as `data=recorded`.
 
     Raises:
-        UserError: when the time is too short, or there are neither cameras nor recordings.
+        UserError: when the time is too short, there are neither cameras nor recordings, or the height of the road is
+            not known.
     """
     if not minutes >= FEWEST_MINUTES:
         raise UserError(f"minutes={minutes:g}: at least {FEWEST_MINUTES:g} are needed")
-    base = [f"+adapt={START}", *rig_overrides(rig, words), *words]
+    if any(word.startswith("data=") for word in words) != (rig is None):
+        raise UserError("give your cameras, rig=my_rig.yaml, or recordings, data=recorded data.source.root=my_scenes")
+    if rig is not None and road_z_m is not None:
+        rig = with_road_in_file(rig, road_z_m, Path(compose_config(CONF, "train", words).paths.runs))
+    base = [f"+adapt={START}-recorded"] if rig is None else [f"+adapt={START}", *rig_overrides(rig)]
+    base += words
     cfg = compose_config(CONF, "train", base)
     source = Parts(cfg).source()
+    if rig is None:
+        check_road(source)
     folder = Path(cfg.paths.runs) / f"adapt-{short_hash([base, source.fingerprint, minutes])}"
     file = folder / "plan.json"
     if file.is_file():
@@ -109,22 +121,41 @@ def adapt(rig: str | None, minutes: float, words: Sequence[str]) -> None:
     print(f"predict   python src/predict.py occupancy checkpoint={after / BEST} {what}")
 
 
-def rig_overrides(rig: str | None, words: Sequence[str]) -> list[str]:
+def with_road_in_file(rig: str, road_z_m: float, runs: Path) -> str:
+    """Return a rig file in the folder of runs that states the height of the road, after writing it."""
+    stated = with_road(load_rig(rig), road_z_m)
+    file = runs / f"rig-{stated.fingerprint[:8]}-{road_z_m:g}.yaml"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        stated.save(file)
+    return str(file)
+
+
+def rig_overrides(rig: str) -> list[str]:
     """Return the overrides that make the virtual world record with a rig, at the size of the images in training.
 
     Raises:
-        UserError: when the rig is missing, or is given beside recordings.
+        UserError: when the rig cannot be read, or its file does not state the height of the road.
     """
-    recorded = any(word.startswith("data=") for word in words)
-    if recorded != (rig is None):
-        raise UserError("give your cameras, rig=my_rig.yaml, or recordings, data=recorded data.source.root=my_scenes")
-    if rig is None:
-        return []
-    first = load_rig(rig).cameras[0]
+    own = load_rig(rig)
+    if own.road_z_m is None and Path(rig).exists():
+        raise UserError(f"rig={rig} does not state the height of the road in its frame, m: give road_z_m=-0.9")
+    first = own.cameras[0]
     scale = math.sqrt(PIXELS / (first.width * first.height))
     width, height = (2 * round(scale * side / 2) for side in (first.width, first.height))
     quoted = rig.replace("'", r"\'")
     return [f"data.source.rig='{quoted}'", f"data.source.image_size=[{width},{height}]"]
+
+
+def check_road(source: SceneSource) -> None:
+    """Raise UserError if recorded scenes have the road at another height than the weights expect it."""
+    source.prepare()
+    road_z_m = source.spec.road_of(first_rig(source))
+    if road_z_m is not None and abs(road_z_m + ORIGIN_ABOVE_ROAD_M) > ROAD_WITHIN_M:
+        raise UserError(
+            f"{source.folder}: the road is {-road_z_m:g} m below the origin, and these weights expect it at "
+            f"{ORIGIN_ABOVE_ROAD_M} m: record the scenes with recorder.origin_above_road_m={ORIGIN_ABOVE_ROAD_M}"
+        )
 
 
 def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
