@@ -1,5 +1,6 @@
 """A ROS bag as the sequence of frames that `predict.py` predicts, with the samples that the recorder would take."""
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -226,11 +227,11 @@ def check_order(topic: Topic, where: str, limit_s: float) -> None:
         UserError: beginning with `where`, naming the first such pair.
     """
     came = sorted(topic.addresses, key=lambda address: (address.received_ns, address.place))
-    for before, after in zip(came, came[1:], strict=False):
+    for before, after in itertools.pairwise(came):
         if after.stamp_ns < before.stamp_ns - limit_s * 1e9:
             raise UserError(
-                f"{where}: times run backwards: {after.stamp_ns / 1e9:.6f} s comes after {before.stamp_ns / 1e9:.6f} s; "
-                "was the clock set, or does the bag hold two recordings? Cut it there: each part is a bag of its own"
+                f"{where}: times run backwards: {after.stamp_ns / 1e9:.6f} s comes after {before.stamp_ns / 1e9:.6f} s;"
+                " was the clock set, or does the bag hold two recordings? Cut it there: each part is a bag of its own"
             )
 
 
@@ -240,7 +241,8 @@ def left_out(plan: Plan, limit_s: float) -> list[str]:
         return []
     names = sorted({name for _, lacks in plan.missing for name in lacks})
     counts = ", ".join(f"{name} in {sum(name in lacks for _, lacks in plan.missing)}" for name in names)
+    total = len(plan.missing) + len(plan.times_s)
     return [
-        f"frames    {len(plan.missing)} of {len(plan.missing) + len(plan.times_s)} are left out, without a sample within "
+        f"frames    {len(plan.missing)} of {total} are left out, without a sample within "
         f"{limit_s:g} s ({counts}); the first is at {plan.missing[0][0]:.6f} s"
     ]

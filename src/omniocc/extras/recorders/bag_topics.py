@@ -12,7 +12,23 @@ from omniocc.io import read_yaml
 
 GUESS = "guess"
 FILLERS = frozenset(
-    "cam camera cameras color colour compressed driver image images raw rect rgb sensing sensor sensors".split()
+    [
+        "cam",
+        "camera",
+        "cameras",
+        "color",
+        "colour",
+        "compressed",
+        "driver",
+        "image",
+        "images",
+        "raw",
+        "rect",
+        "rgb",
+        "sensing",
+        "sensor",
+        "sensors",
+    ]
 )
 """Words of topics and cameras that name no place on the car."""
 COMPRESSED = "/compressed"
