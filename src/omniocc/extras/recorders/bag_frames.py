@@ -82,7 +82,7 @@ def _sequence(bag: Bag, given: BagImages, stated: Topics, timing: Timing, ego_fr
     plan = plan_frames(log, timing)
     guessed = "" if stated.cameras else " (guessed; topics=<file> names others)"
     print(f"topics    {', '.join(f'{name}: {in_line(cameras[name])}' for name in kept.names)}{guessed}")
-    told = "none: frames are predicted without their past" if source is None else source.told
+    told = _no_poses(bag, stated) if source is None else source.told
     same = source is not None and stated.ego_from_base is None
     print(f"poses     {told}{', taken for the frame of the rig' * same}")
     for line in left_out(plan, timing.limit_s):
@@ -158,22 +158,30 @@ class PoseSource(NamedTuple):
 
 def _source_of_poses(bag: Bag, stated: Topics, tree: FrameTree, base: str | None) -> PoseSource | None:
     """Return where the poses come from; None: there are none, or which they are is open."""
-    world = stated.world_frame or first_of(WORLDS, tree.names)
+    worlds = [stated.world_frame] if stated.world_frame else WORLDS
     if stated.poses == GUESS:
-        if base and world and tree.moves(world, base):
+        world = next((name for name in worlds if base and tree.moves(name, base)), None)
+        if base and world:
             return PoseSource(TF, world, base, f"tf: {in_line(base)} in {in_line(world)}")
         found = topics_of(bag, POSES)
         return PoseSource(found[0], "", "", in_line(found[0])) if len(found) == 1 else None
     if stated.poses is None:
         return None
+    base, world = base or BASES[0], first_of(worlds, tree.names) or worlds[0]
     told = f"tf: {base} in {world}" if stated.poses == TF else stated.poses
-    return PoseSource(stated.poses, world or WORLDS[0], base or BASES[0], in_line(told))
+    return PoseSource(stated.poses, world, base, in_line(told))
+
+
+def _no_poses(bag: Bag, stated: Topics) -> str:
+    several = [] if stated.poses is None else topics_of(bag, POSES)
+    choose = f"; poses in topics=<file> chooses one of {in_line(', '.join(several))}" if several else ""
+    return f"none: frames are predicted without their past{choose}"
 
 
 def _log(bag: Bag, given: BagImages, rig: Rig, images: Sequence[Topic], poses: TimedPoses | None) -> Log:
-    if poses is None:  # the choice of images needs some: a car that stands still; nobody reads them
-        ends_s = np.concatenate([topic.times_s[[0, -1]] for topic in images])
-        poses = TimedPoses(np.array([ends_s.min() - 1, ends_s.max() + 1]), np.stack([np.eye(4)] * 2))
+    if poses is None:  # the choice of images needs some at the times of the frames; nobody reads them
+        times_s = np.unique(np.concatenate([topic.times_s for topic in images]))
+        poses = TimedPoses(times_s, np.broadcast_to(np.eye(4), (len(times_s), 4, 4)))
     return Log(
         place=str(given.path),
         rig=rig,

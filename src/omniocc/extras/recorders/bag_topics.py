@@ -1,14 +1,14 @@
 """Which topics of a bag belong to which camera, and what the poses are: stated in a file, or guessed by their names."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from omniocc.config import as_options
-from omniocc.errors import UserError, in_line
+from omniocc.errors import UserError, in_line, repr_of
 from omniocc.io import read_yaml
+from omniocc.predict.input.images import suggest_name
 
 GUESS = "guess"
 FILLERS = frozenset(
@@ -77,12 +77,45 @@ def stated_topics(path: Path | None) -> Topics:
         raise UserError(
             f"topics={path}: it holds no mapping; write a line for each camera, such as front: /front/image"
         )
-    if not set(content) & set(Topics.__dataclass_fields__):
+    if not set(content) & set(KINDS):
         content = {"cameras": content}
-    try:
-        return as_options(Topics, f"topics={path}", {str(key): value for key, value in content.items()})
-    except ValueError as error:
-        raise UserError(f"topics={path}: {error}") from error
+    for key, value in content.items():
+        if key not in KINDS:
+            known = suggest_name(str(key), KINDS) or f"; keys: {', '.join(KINDS)}"
+            raise UserError(f"topics={path}: there is no key '{key}'{known}")
+        if problem := KINDS[key](value):
+            raise UserError(f"topics={path}: {key} is {repr_of(value)}; it must be {problem}")
+    return Topics(**content)
+
+
+def _names(value: Any) -> str:
+    whole = (
+        isinstance(value, Mapping) and value and all(isinstance(text, str) for pair in value.items() for text in pair)
+    )
+    return "" if whole else "a mapping of the names of cameras to topics"
+
+
+def _text(value: Any) -> str:
+    return "" if value is None or isinstance(value, str) else "a name"
+
+
+def _seconds(value: Any) -> str:
+    return "" if value is None or (isinstance(value, int | float) and value > 0) else "a time in s, above 0"
+
+
+KINDS: dict[str, Callable[[Any], str]] = {
+    "cameras": _names,
+    "camera_info": _names,
+    "poses": _text,
+    "base_frame": _text,
+    "world_frame": _text,
+    "ego_from_base": lambda _: "",  # checked where it is read
+    "reference": _text,
+    "limit_s": _seconds,
+    "interval_s": _seconds,
+    "pose_gap_s": _seconds,
+}
+"""The keys of the file; each function returns what a value must be, or nothing if it is that."""
 
 
 def words_of(text: str) -> tuple[str, ...]:
