@@ -4,6 +4,7 @@ import re
 import weakref
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,15 +13,19 @@ from bag_files import BagWriter, write_bag, write_image, write_info
 from log_files import START_NS, rig_of, stamp_ns
 from made_scenes import RIG, write_checkpoint, write_scene
 from rosbags.rosbag2 import StoragePlugin
+from scripts import run_script
 
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders import bag as bag_module
+from omniocc.extras.recorders.bag import Bag
 from omniocc.extras.recorders.bag_predictions import BAGS
+from omniocc.images import Depth
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.export_scene import export_scene
-from omniocc.predict.input.own import is_bag
+from omniocc.predict.input.own import BagImages, is_bag
+from omniocc.predict.input.sequence import Mount
 from omniocc.predict.occupancy import options_of, predict_occupancy
 
 FRAMES = 4
@@ -234,6 +239,28 @@ def test_mistakes_get_one_line(scene, drive, predict, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_ego_frame_is_that_of_the_vehicle_unless_stated(drive):
+    rig, asked = Rig.load(str(drive.parent.parent / "rig.yaml")), BagImages(drive, None, None, (), Depth())
+    with BAGS.read(asked._replace(rig=rig)) as sequence:
+        assert sequence.mount == Mount("base_link")
+    with BAGS.read(asked._replace(rig=rig, topics=drive.parent.parent / "topics.yaml")) as sequence:
+        assert (sequence.mount.frame, sequence.mount.base) == ("ego", "base_link")
+        np.testing.assert_array_equal(sequence.mount.base_from_ego[:3, 3], [1.5, 0, 2])
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_bag_with_the_times_and_frame_of_the_bag(scene, drive, checkpoint, tmp_path):
+    given = f"checkpoint={checkpoint}", f"images={drive}", f"rig={drive.parent.parent / 'rig.yaml'}", *QUICK
+    result = run_script("predict.py", "occupancy", *given, "write_bag=out.mcap", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"4/4 frames, \d+\.\d frames/s", result.stderr)
+    with Bag(tmp_path / "out.mcap") as bag:
+        topic = bag.topic("voxels", "/omniocc/voxels", ["sensor_msgs/msg/PointCloud2"])
+        assert topic.frame == "base_link"
+        assert [address.stamp_ns for address in topic.addresses] == [stamp_ns(scene, frame) for frame in range(FRAMES)]
+        assert [address.received_ns for address in topic.addresses] == [one.stamp_ns for one in topic.addresses]
+
+
 def test_a_damaged_image_keeps_what_was_made(scene, drive, predict, tmp_path):
     rig, bag = drive.parent.parent / "rig.yaml", tmp_path / "log"
     with BagWriter(bag, 2) as writer:
@@ -252,6 +279,4 @@ def test_a_damaged_image_keeps_what_was_made(scene, drive, predict, tmp_path):
 
 
 def png_of(image: np.ndarray) -> bytes:
-    import cv2
-
     return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
