@@ -70,6 +70,9 @@ def _sequence(bag: Bag, given: BagImages, stated: Topics, timing: Timing, ego_fr
     base = stated.base_frame or first_of(BASES, frames)
     rig, cameras = _rig(bag, given, stated, tree, base, ego_from_base)
     kept = chosen_rig(rig, [name for name in rig.names if name not in given.excluded])
+    guessed = "" if stated.cameras else " (guessed; topics=<file> names others)"
+    told = ", ".join(f"{name}: {in_line(cameras[name])}" for name in kept.names)
+    print(f"topics    {told}{guessed}", flush=True)  # before the times of all messages are read
     topics = image_topics(bag, {name: cameras[name] for name in kept.names})
     for name, topic in topics.items():
         check_order(topic, f"{given.path}, {in_line(cameras[name])}", timing.limit_s)
@@ -80,16 +83,14 @@ def _sequence(bag: Bag, given: BagImages, stated: Topics, timing: Timing, ego_fr
         poses = poses._replace(poses=poses.poses @ inverse(ego_from_base))
     log = _log(bag, given, kept, [topics[name] for name in kept.names], poses)
     plan = plan_frames(log, timing)
-    guessed = "" if stated.cameras else " (guessed; topics=<file> names others)"
-    print(f"topics    {', '.join(f'{name}: {in_line(cameras[name])}' for name in kept.names)}{guessed}")
     told = _no_poses(bag, stated) if source is None else source.told
     same = source is not None and stated.ego_from_base is None
     print(f"poses     {told}{', taken for the frame of the rig' * same}")
     for line in left_out(plan, timing.limit_s):
         print(line, flush=True)
-    clock = topics[timing.reference or kept.names[0]]
     place = kept.names.index(timing.reference or kept.names[0])
-    stamps_ns = tuple(clock.addresses[number].stamp_ns for number in plan.images[:, place])
+    images = topics[kept.names[place]]
+    stamps_ns = tuple(images.addresses[number].stamp_ns for number in plan.images[:, place])
     return ImageSequence(
         rig,
         tuple(map(str, stamps_ns)),
