@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap_ros2")
@@ -66,6 +67,8 @@ def messages_of(path: Path) -> dict[str, list]:
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == "ros2"
+        (stated,) = reader.iter_metadata()
+        assert yaml.safe_load(stated.metadata["serialized_metadata"])["relative_file_paths"] == [path.name]
         for _, channel, message, decoded in reader.iter_decoded_messages():
             found.setdefault(channel.topic, []).append((message.log_time, decoded))
     return found

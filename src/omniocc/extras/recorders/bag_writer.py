@@ -50,10 +50,10 @@ def write_bag(path: Path, content: BagContent) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(partial, ignore_errors=True)  # of a process that was killed
-        with Writer(partial, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        made = partial / path.stem  # a bag of ROS 2 states the name of its file, which is that of its folder
+        with Writer(made, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             _write_frames(writer, path, content)
-        (made,) = partial.glob("*.mcap")
-        made.replace(path)
+        (made / path.name).replace(path)
     except DataError:  # of a frame that cannot be read
         raise
     except OSError as error:
