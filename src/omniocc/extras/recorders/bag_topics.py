@@ -85,7 +85,8 @@ def stated_topics(path: Path | None) -> Topics:
             raise UserError(f"topics={path}: there is no key '{key}'{known}")
         if problem := KINDS[key](value):
             raise UserError(f"topics={path}: {key} is {repr_of(value)}; it must be {problem}")
-    return Topics(**content)
+    values: dict[str, Any] = dict(content)
+    return Topics(**values)
 
 
 def _names(value: Any) -> str:
