@@ -9,6 +9,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from omniocc.extras.recorders.bag_predictions import BAGS
 from omniocc.extras.viewer.command import open_viewer
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
@@ -21,7 +22,7 @@ def depth(cfg: DictConfig) -> None:
     """Predict a range panorama for every frame."""
     overrides = [str(override) for override in HydraConfig.get().overrides.task]
     with open_viewer(cfg.viewer, f"depth, {cfg.output}", "RangeStream") as stream:
-        predict_panoramas(cfg, overrides, stream)
+        predict_panoramas(cfg, overrides, stream, BAGS)
 
 
 @script("predict_occupancy")
@@ -30,7 +31,7 @@ def occupancy(cfg: DictConfig) -> None:
     quiet_libraries()
     options = options_of(cfg)
     with open_viewer(options.viewer, f"occupancy, {options.output}", "VoxelStream") as stream:
-        predict_occupancy(options, stream)
+        predict_occupancy(options, stream, BAGS)
 
 
 @script("predict_submission")

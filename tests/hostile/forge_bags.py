@@ -134,6 +134,12 @@ def opened(box: Box, bag: Path, expect: str, *more: str, names: tuple[str, ...] 
     return [Opening(record_bag(box.base, bag, box.out / "result", *more), expect, names or (bag.name,), check)]
 
 
+def predict_bag(base: Path, bag: Path, out: Path) -> tuple[str, ...]:
+    """Return the command that predicts ranges of the images of a bag."""
+    rig = f"rig={base / 'log' / 'rig.yaml'}"
+    return ("predict.py", "depth", f"images={bag}", rig, f"output={out}", "checkpoint=sweep", "preset=smoke")
+
+
 def _set(**new: Any) -> Change:
     """Return a change of fields; a function is given the old value."""
 
@@ -262,6 +268,8 @@ PACKED: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
     "tf-of-billions": (TRANSFORMS, lambda content: content[:4] + b"\xff" * 4 + content[8:]),
 }
 """Changes of the bytes of messages, which are refused."""
+PREDICTED = ("image", "compressed", "tf")
+"""Names begin so where `predict.py` reads what was changed."""
 DEFINITIONS = {
     "recursive": "geometry_msgs/TransformStamped transform\nsensor_msgs/Image again\n",
     "malformed": "float64[ x y = =\n",
@@ -503,8 +511,12 @@ def cases(seed: int) -> list[Case]:
     found = []
     for name, expect, write, more in forged(rng):
 
-        def make(box: Box, write=write, expect=expect, more=more) -> list[Opening]:
-            return opened(box, write(box), expect, *more, names=("log", "/none"))
+        def make(box: Box, name=name, write=write, expect=expect, more=more) -> list[Opening]:
+            bag = write(box)
+            found = opened(box, bag, expect, *more, names=("log", "/none"))
+            if name.startswith(PREDICTED):
+                found.append(Opening(predict_bag(box.base, bag, box.out / "ranges"), expect, ("log",)))
+            return found
 
         found.append(Case(KIND, name, make))
     for kind, place in KINDS.items():

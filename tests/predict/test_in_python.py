@@ -29,7 +29,8 @@ def drawn(rig: Rig, folder: Path) -> list[np.ndarray]:
 
 def test_the_lines_of_the_page_do_what_the_commands_do(composed, tmp_path, monkeypatch, capsys):
     found = {"images": drawn(Rig.load("fisheye6"), tmp_path)}
-    exec(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1], found)
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    exec(next(block for block in blocks if "predict_ranges" in block), found)
     monkeypatch.chdir(tmp_path)
     given = ("rig=fisheye6", f"images={tmp_path}")
     options = composed(*given, "checkpoint=tiny", "overview=false", "mesh=false", name="predict_occupancy")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -15,41 +15,58 @@ from omniocc.config import check
 from omniocc.draw import predicted_sheet
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.predict.input.images import FrameFiles, find_frames, read_frame, remarks, resized_to_width
-from omniocc.predict.input.sequence import with_road
-from omniocc.predict.options import choose_device, load_rig, require
+from omniocc.predict.input.images import resized_to_width
+from omniocc.predict.input.own import OwnImages, own_images
+from omniocc.predict.input.sequence import ImageSequence
+from omniocc.predict.options import choose_device, require
+from omniocc.predict.output.bag import Bags, bag_path, ranges_of, run_into_bag
 from omniocc.predict.output.range_files import point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import NO_ROAD, check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import load
+from omniocc.progress import Progress
 
 SWEEP = "sweep"
 """Value of `checkpoint` that chooses the option of `model/depth`, without weights, as null does."""
 
-ShowRanges = Callable[[FrameFiles, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
-"""Shows the panorama of one frame: given the frame, its images, their rig, the ranges and their directions."""
+ShowRanges = Callable[[str, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
+"""Shows the panorama of one frame: given the frame's name, its images, their rig, the ranges and their directions."""
 
 
-def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRanges | None = None) -> None:
+def predict_panoramas(
+    cfg: DictConfig, overrides: Sequence[str], show: ShowRanges | None = None, bags: Bags | None = None
+) -> None:
     """Predict every frame, write its folder of files and show it; `cfg` is composed from `conf/predict_depth.yaml`.
+
+    `bags` reads and writes ROS bags; without it they are refused.
 
     Raises:
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
-    require(cfg, ("rig", "images"), "predict.py depth")
-    rig = with_road(load_rig(cfg.rig), cfg.road_z_m)
-    images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
-    frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
-    for line in remarks(frames, rig):
-        print(line, flush=True)
-    check_within(cfg.road_within)
-    model, image_width = choose_model(cfg, overrides, rig)
-    if rig.road_z_m is None and getattr(model, "hints", False):
-        print(f"road      {NO_ROAD}", flush=True)
-    device = choose_device(cfg.device)
-    for frame in frames:
-        print(predict_frame(cfg, frame, rig, model, image_width, device=device, show=show), flush=True)
+    require(cfg, ("images",), "predict.py depth")
+    bag = bag_path(cfg.write_bag, bags)
+    given = OwnImages(*(_plain(cfg[key]) for key in OwnImages._fields))
+    with own_images(given, bags and bags.read) as sequence:
+        rig = sequence.rig
+        check_within(cfg.road_within)
+        model, image_width = choose_model(cfg, overrides, rig)
+        if rig.road_z_m is None and getattr(model, "hints", False):
+            print(f"road      {NO_ROAD}", flush=True)
+        device = choose_device(cfg.device)
+        progress = Progress(f"predicting {cfg.output}", len(sequence.frame_names))
+
+        def run() -> None:
+            with progress:
+                for frame in sequence.wanted:
+                    print(predict_frame(cfg, sequence, frame, model, image_width, device=device, show=show), flush=True)
+                    progress.advance()
+
+        run_into_bag(run, bag, bags, lambda: ranges_of(Path(cfg.output), sequence, progress.done))
+
+
+def _plain(value: Any) -> Any:
+    return [str(one) for one in value] if isinstance(value, ListConfig) else value
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
@@ -75,32 +92,33 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[n
 
 def predict_frame(
     cfg: DictConfig,
-    frame: FrameFiles,
-    rig: Rig,
+    sequence: ImageSequence,
+    frame: int,
     model: nn.Module,
     image_width: int | None,
     device: torch.device,
     show: ShowRanges | None,
 ) -> str:
     """Predict one frame, write its files, show it, and return a line about it."""
-    folder = Path(cfg.output) / frame.name
+    rig, name = sequence.rig, sequence.frame_names[frame]
+    folder = Path(cfg.output) / name
     watch = Stopwatch(device, ("read", "depth", "write"))
     with watch("read"):
-        images = read_frame(frame, rig)
+        images = sequence.images(frame)
         batch, scaled = resized_to_width(images, rig, image_width)
     with watch("depth"):
         depth = on_road(predict_depth(model, batch, scaled, device), model, scaled, cfg.road_within)
     with watch("write"):
         range_m, panorama = depth.known_range_m()[0], cast(Equirectangular, model.panorama)
         cloud = point_cloud(range_m, panorama, images, rig)
-        missing = [name for name, file in zip(rig.names, frame.files, strict=True) if file is None]
-        caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()
+        missing = [camera for camera in rig.names if camera in cfg.exclude_cameras]
+        caption = " ".join([name, f"without {', '.join(missing)}" if missing else ""]).strip()
         overview = predicted_sheet(
             images, rig, panorama, range_m, cloud.colors, caption=caption, half_m=cfg.bev_range_m
         )
         points = write_depth(folder, depth, panorama, cloud, overview)
     if show is not None:
-        show(frame, images, rig, range_m, panorama)
+        show(name, images, rig, range_m, panorama)
     answered = float(depth.valid.float().mean())
     size, road = f"{panorama.width}x{panorama.height} px", ""
     if rig.road_z_m is not None:

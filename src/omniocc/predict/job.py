@@ -20,6 +20,7 @@ from omniocc.predict.output.voxel_files import (
     OVERVIEW,
     VOXELS,
     raise_grid,
+    range_arrays,
     read_labels,
     voxel_arrays,
     write_mesh,
@@ -137,7 +138,10 @@ class Job:
             save_png(folder / OVERVIEW, sheet)
         poses = sequence.world_from_ego
         pose = None if poses is None else raise_poses(poses[frame], -sequence.origin_z_m)
-        write_voxels(folder, voxel_arrays(prediction, grid, classes, pose))
+        arrays = voxel_arrays(prediction, grid, classes, pose)
+        if predictor.panorama is not None and prediction.range_m is not None:
+            arrays |= range_arrays(prediction.range_m, predictor.panorama, sequence.origin_z_m)
+        write_voxels(folder, arrays)
 
     def _score_finished(self, sequence: FrameSequence, frame: int) -> None:
         geometry = self.predictor.model.geometry

@@ -1,19 +1,19 @@
 """The command `predict.py occupancy`: from a checkpoint and images to voxels in files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig
 
-from omniocc.camera import Rig
 from omniocc.config import as_options
 from omniocc.data.source import Ignore
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
-from omniocc.predict.export_scene import RIG
-from omniocc.predict.input.images import find_frames, remarks
+from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import (
@@ -21,13 +21,13 @@ from omniocc.predict.input.sequence import (
     ImageSequence,
     RecordedSequence,
     find_scenes,
-    with_road,
 )
 from omniocc.predict.job import Job, ShowFrame
-from omniocc.predict.options import Options, choose_device, load_rig, require
+from omniocc.predict.options import Options, choose_device, require
+from omniocc.predict.output.bag import Bags, bag_path, run_into_bag, voxels_of
 from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
-from omniocc.predict.trained import load
+from omniocc.predict.trained import Trained, load
 from omniocc.predict.training_data import TrainingData
 from omniocc.runs.results import PROTOCOL, save_results
 from omniocc.runs.table import summary
@@ -47,42 +47,63 @@ def options_of(cfg: DictConfig) -> Options:
     options = as_options(Options, "occupancy", {str(key): value for key, value in cfg.items()})
     if (options.images is None) == (options.recorded is None):
         raise UserError("give either images=... (with rig=...), your own images, or recorded=..., recorded scenes")
-    if options.images is None and (options.rig or options.poses or options.road_z_m is not None):
-        raise UserError("rig=..., poses=... and road_z_m=... belong to images=...; recorded scenes have their own")
+    if options.images is None and (options.rig or options.poses or options.topics or options.road_z_m is not None):
+        raise UserError(
+            "rig=..., poses=..., topics=... and road_z_m=... belong to images=...; recorded scenes have their own"
+        )
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
     return options
 
 
-def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
+def predict_occupancy(options: Options, show: ShowFrame | None = None, bags: Bags | None = None) -> None:
     """Find the frames, load the model, predict, write and show; print scores where there is ground truth.
+
+    `bags` reads and writes ROS bags; without it they are refused.
 
     Raises:
         UserError, OSError: naming the option or file that cannot be used.
     """
+    bag = bag_path(options.write_bag, bags)
     found = load(options.checkpoint)
-    options, model, trained = replace(options, checkpoint=str(found.path)), found.occupancy, found.facts
-    sequences, device = sequences_of(options, trained), choose_device(options.device)
+    options = replace(options, checkpoint=str(found.path))
+    with own_sequence(options, bags) as own:
+        job, sequences = prepare(options, found, own, show)
+        if bag is not None and len(sequences) > 1:
+            raise UserError(f"write_bag={bag} takes one sequence of {len(sequences)}; choose one: scene=...")
+        run_into_bag(lambda: job.run(sequences), bag, bags, lambda: voxels_of(job.output, sequences[0]))
+    for line in job.summary():
+        print(line, flush=True)
+    if job.scores is not None:
+        metrics = {f"test/{key}": float(value) for key, value in job.scores.compute().items()}
+        frames = sum(len(sequence.wanted) for sequence in sequences)
+        about = {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
+        save_results(job.output, metrics, about | {PROTOCOL: job.scores.protocol()})
+        print(f"{frames} frames: {figures(metrics)}; all figures: {job.output / 'table.md'}")
+
+
+def prepare(
+    options: Options, found: Trained, own: ImageSequence | None, show: ShowFrame | None
+) -> tuple[Job, Sequence[FrameSequence]]:
+    """Return the work and its sequences, announced and with the manifest of their folder.
+
+    Raises:
+        UserError, OSError: naming what does not exist or fit, or cannot be written.
+    """
+    model, trained = found.occupancy, found.facts
+    sequences, device = sequences_of(options, own, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
     made_from = facts_of(options, sequences, history, width, trained.ignore)
     write_manifest(Path(options.output), made_from, options.force)
-    if options.images is not None:
-        rig_of(options).save(Path(options.output) / OWN_RIG)
-    print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
+    if own is not None:
+        own.rig.save(Path(options.output) / OWN_RIG)
+    road = "" if own is None else trained.place(own.rig)[2]
+    print("\n".join(announcement(options, model, trained, sequences, history, road)), flush=True)
     scores = scores_of(model, trained, sequences)
     above = found.occupied_above if options.occupied_above is None else options.occupied_above
     predictor = Predictor(model, width, options.exclude_cameras, device, above)
-    job = Job(predictor, history, trained, options, scores, show)
-    job.run(sequences)
-    for line in job.summary():
-        print(line, flush=True)
-    if scores is not None:
-        metrics = {f"test/{key}": float(value) for key, value in scores.compute().items()}
-        frames = sum(len(sequence.wanted) for sequence in sequences)
-        about = {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
-        save_results(job.output, metrics, about | {PROTOCOL: scores.protocol()})
-        print(f"{frames} frames: {figures(metrics)}; all figures: {job.output / 'table.md'}")
+    return Job(predictor, history, trained, options, scores, show), sequences
 
 
 def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> Scores | None:
@@ -109,41 +130,36 @@ def figures(metrics: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {value}" for name, value in zip(head[1:], model[1:], strict=True))
 
 
-def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSequence]:
-    """Return the sequences to predict.
+@contextmanager
+def own_sequence(options: Options, bags: Bags | None) -> Iterator[ImageSequence | None]:
+    """Give the sequence of a user's own images with its poses; None for recorded scenes.
+
+    Raises:
+        UserError, DataError: naming what does not exist or does not fit.
+    """
+    if options.images is None:
+        yield None
+        return
+    given = OwnImages(*(getattr(options, key) for key in OwnImages._fields))
+    with own_images(given, bags and bags.read) as own:
+        if options.poses is not None:
+            if own.frame_names[0] == "":
+                raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
+            own = replace(own, world_from_ego=read_poses(Path(options.poses), own.frame_names))
+        yield own
+
+
+def sequences_of(options: Options, own: ImageSequence | None, trained: TrainingData) -> Sequence[FrameSequence]:
+    """Return the sequences to predict; the user's own has its origin as high above the road as in training.
 
     Raises:
         UserError: naming what does not exist or does not fit.
     """
-    if options.recorded is not None:
+    if own is None:
+        assert options.recorded is not None
         return find_scenes(Path(options.recorded), options.scene, options.frames, options.exclude_cameras)
-    assert options.images is not None
-    rig = rig_of(options)
-    images = options.images if isinstance(options.images, str) else list(options.images)
-    frames = tuple(find_frames(images, rig, options.exclude_cameras, options.image_bits))
-    for line in remarks(frames, rig):
-        print(line, flush=True)
-    poses = None
-    if options.poses is not None:
-        if frames[0].name == "":
-            raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
-        poses = read_poses(Path(options.poses), [frame.name for frame in frames])
-    sequence = ImageSequence(rig, frames, poses)
-    _, height_m, _ = trained.place(rig)
-    return [sequence.raise_origin(height_m) if height_m else sequence]
-
-
-def rig_of(options: Options) -> Rig:
-    """Return the calibrated cameras of the user's images, with the height of the road that is given beside them.
-
-    Raises:
-        UserError: when no rig is given, or it cannot be used.
-    """
-    if options.rig is None:
-        beside = Path(options.images) / RIG if isinstance(options.images, str) else Path(RIG)
-        hint = f"; there is {beside}" if beside.is_file() else ""
-        raise UserError(f"rig=... is needed: a rig file, a calibration or a built-in rig{hint}")
-    return with_road(load_rig(options.rig), options.road_z_m)
+    _, height_m, _ = trained.place(own.rig)
+    return [own.raise_origin(height_m) if height_m else own]
 
 
 def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[FrameSequence]) -> History:
@@ -162,9 +178,12 @@ def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[
 
 def facts_of(
     options: Options, sequences: Sequence[FrameSequence], history: History, width: int | None, ignore: Ignore
-) -> dict[str, str | int | Sequence[str] | None]:
+) -> dict[str, Any]:
     """Return what the predictions are made from and how they are scored, for the manifest of their folder."""
-    own = sequences[0] if options.recorded is None else None
+    own = sequences[0] if isinstance(sequences[0], ImageSequence) else None
+    more = {key: value for key in ("image_bits", "occupied_above") if (value := getattr(options, key)) is not None}
+    if own is not None and own.topics is not None:
+        more["topics"] = dict(own.topics)
     return {
         "checkpoint": sha256(Path(options.checkpoint))[:16],
         "images": str(options.recorded if own is None else options.images),
@@ -174,16 +193,21 @@ def facts_of(
         "image_width": width,
         "exclude_cameras": list(options.exclude_cameras),
         "ignore": None if own is not None else ignore,
-    } | {key: value for key in ("image_bits", "occupied_above") if (value := getattr(options, key)) is not None}
+        **more,
+    }
 
 
 def announcement(
-    options: Options, model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence], history: History
+    options: Options,
+    model: OccupancyModel,
+    trained: TrainingData,
+    sequences: Sequence[FrameSequence],
+    history: History,
+    road: str,
 ) -> list[str]:
-    """Return one line each about model, cameras, road and history."""
+    """Return one line each about model, cameras, road (given; empty: none) and history."""
     grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"
     past = model.temporal.frames - 1
-    road = "" if options.images is None else trained.place(rig_of(options))[2]
     parameters = sum(parameter.numel() for parameter in model.parameters()) / 1e6
     if history != "none":
         used = f"{history}: up to {past} past frames"

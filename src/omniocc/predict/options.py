@@ -34,6 +34,8 @@ class Options:
     device: str | None
     viewer: str | None = None
     image_bits: int | None = None
+    topics: str | None = None
+    write_bag: str | None = None
     occupied_above: Probability | None = None  # pyright: ignore[reportOperatorIssue]
 
 

@@ -22,13 +22,13 @@ MAP_FROM_ODOM = np.array([[0.0, -1, 0, 100], [1, 0, 0, 200], [0, 0, 1, 3], [0, 0
 class BagWriter:
     """A bag of either kind; `write(topic, type, time, **fields)` adds a message."""
 
-    def __init__(self, path: Path, ros: int):
+    def __init__(self, path: Path, ros: int, **storage: Any):
         self.ros, self.store = ros, get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
         if ros == 1:
             self.store.register(
                 get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
             )
-        self.bag: Any = Writer1(path) if ros == 1 else Writer2(path, version=8)
+        self.bag: Any = Writer1(path) if ros == 1 else Writer2(path, version=8, **storage)
         self.connections: dict[str, Any] = {}
 
     def __enter__(self) -> "BagWriter":

@@ -15,7 +15,9 @@ from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.extras.viewer.collect import open_shown
-from omniocc.extras.viewer.options import ViewOptions
+from omniocc.extras.viewer.command import show_frames
+from omniocc.extras.viewer.options import TargetOptions, ViewOptions
+from omniocc.extras.viewer.predictions import own_frames
 from omniocc.extras.viewer.timeline.sinks import to_file
 from omniocc.extras.viewer.timeline.stream import RangeStream, VoxelStream
 from omniocc.predict.depth import predict_panoramas
@@ -113,6 +115,16 @@ def test_predictions_are_shown_when_their_images_are_gone(of_images, tmp_path):
     frames = list(open_shown(ViewOptions(predictions=str(tmp_path / "own"))))
     assert len(frames) == FRAMES
     assert all(frame.images == () and frame.rig.names == RIG.names for frame in frames)
+    show_frames(ViewOptions(predictions=str(tmp_path / "own")), TargetOptions(save=str(tmp_path / "v.rrd")))
+    assert any(path.startswith("/world/ego/voxels/own/") for path in read(tmp_path / "v.rrd"))
+
+
+def test_predictions_of_a_bag_are_shown_without_its_images(of_images, tmp_path):
+    """Its folder holds no frames."""
+    (tmp_path / "log").mkdir()
+    (tmp_path / "log" / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    assert own_frames({"images": str(tmp_path / "log")}, RIG) == {}
+    assert own_frames({"images": str(of_images[1])}, RIG)
 
 
 def test_folders_that_are_damaged_or_no_predictions_are_a_line(of_scene, tmp_path):

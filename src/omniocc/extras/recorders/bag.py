@@ -15,9 +15,18 @@ from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError, in_line, installing
 from omniocc.extras.recorders.files import ego_points, lidar_options, plain_options, stated_depth
 from omniocc.extras.recorders.labels import read_point_classes
-from omniocc.extras.recorders.log import Log, Scans, Timing, chosen_rig
+from omniocc.extras.recorders.log import Log, ReadImage, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
-from omniocc.extras.recorders.messages import FrameTree, camera_of, cloud_of, image_of, pose_of, stamp_s, timed
+from omniocc.extras.recorders.messages import (
+    FrameTree,
+    camera_of,
+    cloud_of,
+    image_of,
+    pose_of,
+    stamp_ns,
+    stamp_s,
+    timed,
+)
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
 from omniocc.images import Depth
 
@@ -32,11 +41,15 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 class Address(NamedTuple):
-    """Where a message lies: its topic, the time of its receipt, ns, and its place among those of that time."""
+    """Where a message lies: its topic, the time of its receipt, ns, and its place among those of that time.
+
+    `stamp_ns` is the time in its header, without rounding; that of receipt where the header has none.
+    """
 
     topic: str
     received_ns: int
     place: int
+    stamp_ns: int
 
 
 class Topic(NamedTuple):
@@ -127,22 +140,17 @@ class RosBag(LogRecorder):
 
     def _read(self, bag: "Bag") -> Log:
         tree = bag.tree()
-        topics = {name: bag.topic(f"cameras.{name}", topic, IMAGES) for name, topic in self.cameras.items()}
+        topics = image_topics(bag, self.cameras)
         rig = self._rig(bag, tree, topics)
         images = [topics[name] for name in rig.names]
-        poses = self._poses(bag, tree)
-
-        def read_image(camera: int, number: int) -> tuple[UInt8[np.ndarray, "height width 3"], str]:
-            message, where = bag.message(images[camera].addresses[number])
-            return image_of(message, where, rig.cameras[camera], self.depth), where
-
+        poses = poses_of(bag, tree, self.poses, self.world_frame, self.base_frame)
         scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
         given = [*given, *stated_depth(self.depth)]
         return Log(
             place=str(self.bag),
             rig=rig,
             image_times_s=tuple(topic.times_s for topic in images),
-            read_image=read_image,
+            read_image=image_reader(bag, images, rig, self.depth),
             pose_times_s=poses.times_s,
             world_from_ego=poses.poses @ inverse(self.ego_from_base),
             scans=scans,
@@ -162,23 +170,8 @@ class RosBag(LogRecorder):
                 return chosen_rig(Rig.load(self.rig_file), list(self.cameras))
             except ValueError as error:
                 raise UserError(f"rig: {error}") from error
-        cameras, poses = [], []
-        for name in self.cameras:
-            info = bag.topic(f"camera_info.{name}", self.camera_info[name], INFOS)
-            cameras.append(camera_of(*bag.message(info.addresses[0])))
-            poses.append(self.ego_from_base @ tree.fixed(self.base_frame, info.frame or topics[name].frame))
-        return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), tuple(self.cameras))
-
-    def _poses(self, bag: "Bag", tree: FrameTree) -> TimedPoses:
-        if self.poses == TF:
-            return tree.over_time(self.world_frame, self.base_frame)
-        topic = bag.topic("poses", self.poses, POSES)
-        samples = []
-        for time_s, address in zip(topic.times_s, topic.addresses, strict=True):
-            message, where = bag.message(address)
-            pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-            samples.append((float(time_s), pose_of(pose.position, pose.orientation, where)))
-        return timed(samples)
+        infos = {name: self.camera_info[name] for name in self.cameras}
+        return rig_of_infos(bag, tree, topics, infos, self.base_frame, self.ego_from_base)
 
     def _scans(self, bag: "Bag", tree: FrameTree, options: Mapping[str, Any]) -> tuple[Scans, list[Any]]:
         """Return the scans, and plain values that differ when other options would give other points."""
@@ -195,6 +188,59 @@ class RosBag(LogRecorder):
 
         scans = Scans(topic.times_s, read, lambda number: bag.where(topic.addresses[number]), classes.table)
         return scans, plain_options({**options, "pose": ego_from_lidar}, classes)
+
+
+def image_topics(bag: "Bag", cameras: Mapping[str, str]) -> dict[str, Topic]:
+    """Return the topic of images of each camera by its name; errors are those of `Bag.topic`."""
+    return {name: bag.topic(f"cameras.{name}", topic, IMAGES) for name, topic in cameras.items()}
+
+
+def image_reader(bag: "Bag", images: Sequence[Topic], rig: Rig, depth: Depth) -> ReadImage:
+    """Return the function that reads an image of an open bag, by camera of the rig and number in its topic."""
+
+    def read_image(camera: int, number: int) -> tuple[UInt8[np.ndarray, "height width 3"], str]:
+        message, where = bag.message(images[camera].addresses[number])
+        return image_of(message, where, rig.cameras[camera], depth), where
+
+    return read_image
+
+
+def rig_of_infos(
+    bag: "Bag",
+    tree: FrameTree,
+    topics: Mapping[str, Topic],
+    infos: Mapping[str, str],
+    base_frame: str,
+    ego_from_base: Float64[np.ndarray, "4 4"],
+) -> Rig:
+    """Return the rig of the topics of CameraInfo by camera, and of the poses in tf that never change.
+
+    Raises:
+        UserError, DataError: naming the topic, frame or message that cannot be used.
+    """
+    cameras, poses = [], []
+    for name, topic in infos.items():
+        info = bag.topic(f"camera_info.{name}", topic, INFOS)
+        cameras.append(camera_of(*bag.message(info.addresses[0])))
+        poses.append(ego_from_base @ tree.fixed(base_frame, info.frame or topics[name].frame))
+    return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), tuple(infos))
+
+
+def poses_of(bag: "Bag", tree: FrameTree, poses: str, world_frame: str, base_frame: str) -> TimedPoses:
+    """Return the poses of `base_frame` in `world_frame` by tf, or those of a topic.
+
+    Raises:
+        UserError, DataError: naming the topic, frame or message that cannot be used.
+    """
+    if poses == TF:
+        return tree.over_time(world_frame, base_frame)
+    topic = bag.topic("poses", poses, POSES)
+    samples = []
+    for time_s, address in zip(topic.times_s, topic.addresses, strict=True):
+        message, where = bag.message(address)
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        samples.append((float(time_s), pose_of(pose.position, pose.orientation, where)))
+    return timed(samples)
 
 
 class Bag:
@@ -243,8 +289,9 @@ class Bag:
             )
         stamps, frame, counts = {}, None, {}
         for received_ns, message in self._messages(name):
-            address = Address(name, received_ns, counts.setdefault(received_ns, 0))
+            place = counts.setdefault(received_ns, 0)
             counts[received_ns] += 1
+            address = Address(name, received_ns, place, stamp_ns(message) or received_ns)
             stamps.setdefault(stamp_s(message) or received_ns / 1e9, address)
             frame = message.header.frame_id if frame is None else frame
         if not stamps:

@@ -19,6 +19,9 @@ SHOWN = 5
 """Missing frames that are named in messages; all of them are listed in the scene's `meta.json`."""
 POSES, LIDAR = "poses", "lidar"
 
+ReadImage = Callable[[int, int], tuple[UInt8[np.ndarray, "height width 3"], str]]
+"""Returns an image, RGB, by camera and number, and its name for messages."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scans:
@@ -45,7 +48,7 @@ class Log:
         place: of the log, for messages.
         rig: the cameras, at the size of their calibration.
         image_times_s: for each camera the times of its images, increasing.
-        read_image: returns an image (H, W, 3) uint8 RGB by camera and number, and its name for messages.
+        read_image: see `ReadImage`.
         pose_times_s: (P,) increasing.
         world_from_ego: (P, 4, 4) at these times.
         scans: of the LiDAR; None without one.
@@ -56,7 +59,7 @@ class Log:
     place: str
     rig: Rig
     image_times_s: tuple[Float64[np.ndarray, " S"], ...]
-    read_image: Callable[[int, int], tuple[UInt8[np.ndarray, "height width 3"], str]]
+    read_image: ReadImage
     pose_times_s: Float64[np.ndarray, " P"]
     world_from_ego: Float64[np.ndarray, "P 4 4"]
     scans: Scans | None

@@ -53,6 +53,12 @@ def stamp_s(message: Any) -> float:
     return stamp.sec + stamp.nanosec / 1e9
 
 
+def stamp_ns(message: Any) -> int:
+    """Return the same in ns, without rounding."""
+    stamp = message.header.stamp
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
 def image_of(message: Any, where: str, camera: Camera, depth: Depth) -> UInt8[np.ndarray, "height width 3"]:
     """Return the RGB of an Image or CompressedImage of a camera; `depth` is that of samples in words of 16 bits.
 
@@ -198,6 +204,19 @@ class FrameTree:
         else:
             self.moving.setdefault(key, []).append((time_s, parent_from_child))
 
+    @property
+    def names(self) -> list[str]:
+        """Return the names of all frames."""
+        return sorted({name for pair in (*self.static, *self.moving) for name in pair})
+
+    def moves(self, target: str, source: str) -> bool:
+        """Return whether there is a chain of poses between two frames, and a moving one in it."""
+        try:
+            chain = self._chain(target, source, {**self.static, **self.moving})
+        except UserError:
+            return False
+        return any((parent, child) in self.moving for parent, child, _ in chain)
+
     def fixed(self, target: str, source: str) -> Float64[np.ndarray, "4 4"]:
         """Return target_from_source over poses that never change; raise UserError naming frames that there are."""
         pose = np.eye(4)
@@ -245,7 +264,7 @@ class FrameTree:
             known = in_line(", ".join(sorted(steps))) or "none"
             raise UserError(
                 f"tf: there is no chain of poses from '{target}' to '{source}'; frames: {known}. A rig file "
-                "(recorder.rig) and recorder.lidar.ego_from_lidar can state what the bag does not"
+                "(rig; recorder.rig) and recorder.lidar.ego_from_lidar can state what the bag does not"
             )
         chain = []
         while last := before[source]:

@@ -18,6 +18,7 @@ from omniocc.extras.viewer.scenes import ChosenScenes, choose, recorded_frame, r
 from omniocc.geometry import Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import FrameFiles, find_frames, read_frame
+from omniocc.predict.input.own import is_bag
 from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
@@ -81,9 +82,9 @@ def recorded_of(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Sce
 
 
 def own_frames(facts: Mapping[str, Any], rig: Rig | None) -> dict[str, FrameFiles]:
-    """Return the image files of a user's own frames by name; none if they are not there any more."""
+    """Return the image files of a user's own frames by name; none if they are in a bag, or not there any more."""
     images = facts.get("images")
-    if rig is None or not isinstance(images, str) or not Path(images).is_dir():
+    if rig is None or not isinstance(images, str) or not Path(images).is_dir() or is_bag(images):
         return {}
     frames = find_frames(images, rig, facts.get("exclude_cameras") or (), facts.get("image_bits"))
     return {frame.name: frame for frame in frames}

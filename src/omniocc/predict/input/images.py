@@ -174,12 +174,15 @@ def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
 
 def swapped_images(frame: FrameFiles, rig: Rig) -> str:
     """Return a line with the order in which the images of a frame fit better, or nothing; see `better_order`."""
-    if None in frame.files or (order := better_order(read_frame(frame, rig), rig)) is None:
+    return "" if None in frame.files else order_line(read_frame(frame, rig), rig, frame.files)
+
+
+def order_line(images: Sequence[np.ndarray], rig: Rig, sources: Sequence[object]) -> str:
+    """Return a line with the order in which the images of a frame fit better, by their sources; empty if they fit."""
+    if (order := better_order(images, rig)) is None:
         return ""
     moved = [
-        f"{name}={frame.files[image]}"
-        for k, (name, image) in enumerate(zip(rig.names, order, strict=True))
-        if k != image
+        f"{name}={sources[image]}" for k, (name, image) in enumerate(zip(rig.names, order, strict=True)) if k != image
     ]
     return f"images    where two cameras see the same, the images fit better as {', '.join(moved)}; are they swapped?"
 

@@ -1,10 +1,10 @@
 """Sequences of frames to predict: a user's own images, or a recorded scene with its ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -22,24 +22,59 @@ from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.predict.input.images import FrameFiles, check_excluded, read_frame
 
+EGO = "ego"
+"""Name of the ego frame where no other program has given it one."""
+
+
+class Mount(NamedTuple):
+    """Where the ego frame is for programs of ROS.
+
+    Attributes:
+        frame: their name of the ego frame.
+        base: name of the frame that it is fixed to; None: it is fixed to none.
+        base_from_ego: its pose there.
+    """
+
+    frame: str = EGO
+    base: str | None = None
+    base_from_ego: Float64[np.ndarray, "4 4"] | None = None
+
+
+ALONE = Mount()
+
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """A user's own images in the order of time; see `omniocc.predict.find_frames`.
+    """A user's own images in the order of time: files (`of_files`), or a ROS bag (`omniocc.predict.input.bags`).
 
     Attributes:
         rig: the cameras.
-        frames: the image files of every frame.
+        frame_names: the name of every frame.
+        read: returns (H, W, 3) uint8 RGB of every camera of the rig, by the number of the frame.
         world_from_ego: pose of every frame, None if poses are unknown.
+        stamps_ns: time of every frame, ns.
+        mount: see `Mount`.
+        topics: of the images of each camera in a bag; None for files.
         origin_z_m: height of the ego origin in the frame of the rig file, in which predictions are written.
         name: of the folder that the results of this sequence go to; empty: the output folder itself.
     """
 
     rig: Rig
-    frames: tuple[FrameFiles, ...]
+    frame_names: tuple[str, ...]
+    read: Callable[[int], list[np.ndarray]]
     world_from_ego: Float64[Tensor, "F 4 4"] | None
+    stamps_ns: tuple[int, ...]
+    mount: Mount = ALONE
+    topics: Mapping[str, str] | None = None
     origin_z_m: float = 0.0
     name: str = ""
+
+    @classmethod
+    def of_files(cls, rig: Rig, frames: Sequence[FrameFiles]) -> "ImageSequence":
+        """Return the sequence of image files, see `omniocc.predict.find_frames`; its times are their numbers, s."""
+        stamps_ns = tuple(frame * 10**9 for frame in range(len(frames)))
+        names = tuple(frame.name for frame in frames)
+        return cls(rig, names, lambda frame: read_frame(frames[frame], rig), None, stamps_ns)
 
     def raise_origin(self, height_m: float) -> "ImageSequence":
         """Return the same sequence with its ego origin `height_m` higher."""
@@ -48,18 +83,13 @@ class ImageSequence:
         return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property
-    def frame_names(self) -> tuple[str, ...]:
-        """Return the name of every frame."""
-        return tuple(frame.name for frame in self.frames)
-
-    @property
     def wanted(self) -> tuple[int, ...]:
         """Return the indices of the frames to be predicted: all."""
-        return tuple(range(len(self.frames)))
+        return tuple(range(len(self.frame_names)))
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return (H, W, 3) uint8 RGB of every camera."""
-        return read_frame(self.frames[frame], self.rig)
+        return self.read(frame)
 
     def truth(self, frame: int, geometry: Grid, ignore: Ignore) -> None:
         """Return None: no ground truth is available."""
@@ -70,7 +100,7 @@ class ImageSequence:
 
 @dataclass(frozen=True)
 class RecordedSequence:
-    """A recorded scene, with what `ImageSequence` has except `frames` and `raise_origin`.
+    """A recorded scene, with what `ImageSequence` has except `read`, `topics`, `of_files` and `raise_origin`.
 
     Attributes:
         scene: reader of its files.
@@ -80,6 +110,12 @@ class RecordedSequence:
     scene: SceneReader
     wanted: tuple[int, ...]
     origin_z_m: ClassVar[float] = 0.0
+    mount: ClassVar[Mount] = ALONE
+
+    @property
+    def stamps_ns(self) -> tuple[int, ...]:
+        """Return the time of every frame, ns."""
+        return tuple(round(time_s * 1e9) for time_s in self.scene.time_s)
 
     @property
     def name(self) -> str:

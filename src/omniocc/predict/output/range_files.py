@@ -18,6 +18,8 @@ from omniocc.draw import save_png
 from omniocc.io import atomic_write
 from omniocc.model.depth import DepthMap
 
+RANGES, POINTS = "range.npz", "points.ply"
+
 VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 _PLY_TYPES = {"f4": "float", "u1": "uchar"}
@@ -149,6 +151,6 @@ def write_depth(
         top_deg=panorama.top_deg,
         bottom_deg=panorama.bottom_deg,
     )
-    atomic_write(folder / "range.npz", content.getvalue())
+    atomic_write(folder / RANGES, content.getvalue())
     save_png(folder / "overview.png", overview)
-    return write_ply(folder / "points.ply", cloud)
+    return write_ply(folder / POINTS, cloud)

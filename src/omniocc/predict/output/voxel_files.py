@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 
+from omniocc.camera import Equirectangular
 from omniocc.classes import FREE, UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import UserError
@@ -53,6 +54,14 @@ def voxel_arrays(
     return arrays if world_from_ego is None else {**arrays, "world_from_ego": world_from_ego.numpy()}
 
 
+def range_arrays(
+    range_m: Float32[Tensor, "h w"], panorama: Equirectangular, origin_z_m: float
+) -> dict[str, np.ndarray]:
+    """Return by name the arrays of a range panorama whose origin lies `origin_z_m` above the ego origin of the file."""
+    edges = {"top_deg": np.array(panorama.top_deg), "bottom_deg": np.array(panorama.bottom_deg)}
+    return {"range_m": range_m.numpy(), "range_origin_z_m": np.array(origin_z_m), **edges}
+
+
 def raise_grid(geometry: Grid, height_m: float) -> Grid:
     """Return the grid in a frame whose origin is `height_m` lower."""
     assert isinstance(geometry, Cylinder | Cuboid)
@@ -88,10 +97,11 @@ class Voxels(NamedTuple):
     geometry: Grid
     classes: ClassTable
     world_from_ego: Float64[np.ndarray, "4 4"] | None
+    range_m: Float32[np.ndarray, "h w"] | None = None
 
 
 def read_voxels(path: Path) -> Voxels:
-    """Return what `write_voxels` has written of the arrays of `voxel_arrays`.
+    """Return what `write_voxels` has written of the arrays of `voxel_arrays` and `range_arrays`.
 
     Raises:
         UserError: when the file is damaged or of another program.
@@ -111,7 +121,7 @@ def read_voxels(path: Path) -> Voxels:
             raise ValueError(f"its labels have the shape {tuple(labels.shape)}, its grid {geometry.shape}")
     except Exception as error:  # numpy, zipfile and zlib raise their own types
         raise UserError(f"{path} is damaged or no file of predict.py occupancy: {error!r}") from error
-    return Voxels(labels, candidates.bool(), geometry, classes, given.get("world_from_ego"))
+    return Voxels(labels, candidates.bool(), geometry, classes, given.get("world_from_ego"), given.get("range_m"))
 
 
 def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:

@@ -142,6 +142,8 @@ class Timeline:
         self.rig = rig
 
     def _images(self, frame: ShownFrame) -> None:
+        if not frame.images:  # of a bag, or gone
+            return
         names = frame.rig.names if frame.rig is not None else [f"{k}" for k in range(len(frame.images))]
         for k, (name, image) in enumerate(zip(names, frame.images, strict=True)):
             self._log([*IMAGES, name], rr.Image(image).compress(JPEG_QUALITY))

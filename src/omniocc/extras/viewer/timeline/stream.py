@@ -19,7 +19,6 @@ from omniocc.extras.viewer.scenes import rig_at_sizes, time_of
 from omniocc.extras.viewer.timeline.log import Timeline
 from omniocc.extras.viewer.timeline.sinks import to_viewer
 from omniocc.metric import sparseocc_directions
-from omniocc.predict.input.images import FrameFiles
 from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
 from omniocc.predict.job import Job
 from omniocc.predict.predictor import PredictedFrame
@@ -84,7 +83,7 @@ class RangeStream:
 
     def __call__(
         self,
-        frame: FrameFiles,
+        frame: str,
         images: Sequence[np.ndarray],
         rig: Rig,
         range_m: Float32[Tensor, "h w"],
@@ -93,7 +92,7 @@ class RangeStream:
         """Log one frame."""
         shown = ShownFrame(
             scene="",
-            frame=frame.name,
+            frame=frame,
             time_s=self.timeline.count * OWN_INTERVAL_S,
             images=tuple(images),
             rig=rig_at_sizes(rig, images),
