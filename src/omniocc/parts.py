@@ -66,6 +66,11 @@ class Parts:
         mixture = self.cfg.get("range_mixture")  # checkpoints of older versions have none
         return None if mixture is None else build(mixture)
 
+    def ray_window(self) -> Any:
+        """Return the measured rays from which training learns, `omniocc.loss.RayWindow`; None: from voxel labels."""
+        window = self.cfg.loss.get("rays")
+        return None if window is None else build(window)
+
     def task_parts(self) -> tuple[Any, Any, Any]:
         """Return loss, optimiser and augmentation of the occupancy stage."""
         return build(self.cfg.loss), build(self.cfg.optimizer), build(self.cfg.augment)

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader, DistributedSampler
 from omniocc.batch import Batch, to_device
 from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.labels.ray_votes import RayVotes
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.loader import Loader
@@ -22,6 +23,7 @@ from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, 
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError, moved_by
 from omniocc.geometry import Grid
+from omniocc.loss import RayWindow
 from rayiou.directions import rays_around
 
 # Both derive from DistributedSampler so that Lightning leaves them in place under DDP. Its own would start an
@@ -262,9 +264,19 @@ class OccupancyData(LightningDataModule):
         """Return the samples of a split, after `setup`."""
         return self._datasets[split]
 
-    def voxel_counts(self) -> Int64[Tensor, "C X Y Z"]:
-        """Return the number of training frames in which each cell has each class."""
+    def ray_votes(self, window: RayWindow) -> RayVotes:
+        """Return labels that measured rays vote; those of training frames that are missing are made now."""
+        workers, source = getattr(self.voxels, "workers", 0), self.source
+        votes = RayVotes(source.folder, self.geometry, window, source.fingerprint, self.num_classes, workers)
         with moved_by("data.source.cache"):
+            votes.prepare(source.scenes("train"))
+        return votes
+
+    def voxel_counts(self, votes: RayVotes | None = None) -> Int64[Tensor, "C X Y Z"]:
+        """Return the number of training frames in which each cell has each class, in voxel labels or votes of rays."""
+        with moved_by("data.source.cache"):
+            if votes is not None:
+                return votes.class_counts(self.dataset("train").scenes)
             return self.voxels.counts(self.dataset("train").scenes)
 
     def train_dataloader(self) -> DataLoader[Batch]:

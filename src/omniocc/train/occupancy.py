@@ -13,7 +13,7 @@ from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, RangeMixture, SourceSpec
 from omniocc.errors import UserError
-from omniocc.loss import TotalLoss
+from omniocc.loss import Rays, TotalLoss
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import LearnedSketch, Sketch, Sketched
 from omniocc.runs.scenes import Counted
@@ -121,7 +121,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         if self.mixture is not None:
             batch = with_other_ranges(batch, self.model.sketch, self.mixture, generator)
         prediction = self.predict(batch)
-        return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
+        terms = self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m)
+        return log_terms(self, terms | self.loss.ray_terms(prediction, rays_of(batch), generator), batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted labels."""
@@ -207,6 +208,13 @@ def with_other_ranges(batch: Batch, sketch: Sketch, mixture: RangeMixture, gener
         evidence = evidence.clone()
         evidence[changed, -1] = found.bits
     return batch._replace(candidates=candidates, evidence=evidence)
+
+
+def rays_of(batch: Batch) -> Rays | None:
+    """Return the measured rays of a batch, if it has any."""
+    if batch.scan_origins is None or batch.scan_ends is None or batch.scan_labels is None:
+        return None
+    return Rays(batch.scan_origins, batch.scan_ends, batch.scan_labels)
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from time import time
@@ -14,6 +15,7 @@ from omegaconf import OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.data import Needs, OccupancyData
+from omniocc.data.labels.ray_votes import RayVotes
 from omniocc.data.source.cameras import first_rig
 from omniocc.errors import FAULTS, UserError, moved_by, reason_of
 from omniocc.io import atomic_write
@@ -126,6 +128,11 @@ class Stage(ABC):
     def outputs(self) -> FrameOutputs | None:
         """Return what is predicted for every frame and kept for later stages; None if nothing is."""
         return None
+
+    def ray_votes(self, classes: bool = True) -> RayVotes | None:
+        """Return the labels that rays vote, if training learns from measured rays; with `classes` false without any."""
+        window = self.parts.ray_window()
+        return None if window is None else self.data.ray_votes(replace(window, classes=classes and window.classes))
 
     def amount(self, frames: int, trainer: Trainer) -> Amount:
         """Return how much training the recipe asks for, given the number of training frames."""

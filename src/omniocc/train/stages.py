@@ -221,7 +221,7 @@ class SketchStage(EarlierStage):
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
         mixed = cast(SketchTask, task).mixture is not None
-        return test._replace(images=False, panorama=mixed), test
+        return test._replace(images=False, panorama=mixed, votes=self.ray_votes(classes=False)), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
@@ -282,6 +282,7 @@ class OccupancyStage(Stage):
         loss, sketch = cast(OccupancyTask, task).loss, self.sketch
         test = Needs(pixel_labels=False, candidates=sketch and sketch.candidates, evidence=sketch and sketch.evidence)
         learned: dict[str, Any] = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
+        learned |= {"voxels": loss.needs_voxels, "votes": self.ray_votes(), "rays": loss.needed_rays}
         if sketch is not None and cast(OccupancyTask, task).mixture is not None:
             learned |= {"panorama": True, "depth": sketch.depth.ranges}
         return test._replace(scores=False, **learned), test
@@ -291,7 +292,7 @@ class OccupancyStage(Stage):
         assert isinstance(task, OccupancyTask)
         if self.sketch is not None:
             task.model.sketch.load_state_dict(self.sketch.weights())  # type: ignore[union-attr]
-        task.set_training_statistics(data.voxel_counts())
+        task.set_training_statistics(data.voxel_counts(self.ray_votes()))
         if self.recipe.weights is None or checkpoint is not None:
             return None
         return load_fitting(task.model, self.recipe.weights, task.config)

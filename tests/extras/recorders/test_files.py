@@ -113,7 +113,7 @@ def test_scans_beside_sparse_poses_lose_no_frame():
     """Frames on the stamps of poses that are farther apart than `pose_gap_s`, scans a little later."""
     at_s = 2.0 * np.arange(3)
     poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
-    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES)
+    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES, np.zeros(3))
     rig = Rig.load("fisheye6")
     log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans=scans, facts={})
     plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
