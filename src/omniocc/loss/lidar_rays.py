@@ -129,9 +129,9 @@ def unlikely_queries(logits: Float[Tensor, "B C *grid"], queries: Queries, free_
 class LidarRays(nn.Module):
     """Compare the voxels along measured rays with what the rays say, at places drawn anew in each step.
 
-    Hits and free places have means of their own, so that neither outweighs the other, however many places a ray has. The
-    places are spread evenly over each ray: a cell that rays graze, as on the road far ahead, has little weight as free.
-    A cell in which any ray of the sample ends is never free. What is behind a hit gives no loss.
+    Hits and free places have means of their own, so that neither outweighs the other. Places are spread evenly over
+    each ray: a cell that rays graze, as on the road far ahead, has little weight as free. A cell in which any ray of
+    the sample ends is never free. What is behind a hit gives no loss.
 
     Args:
         geometry: grid of the voxels.

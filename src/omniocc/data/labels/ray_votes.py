@@ -1,5 +1,6 @@
 """Voxel labels voted by the measured rays of a frame and its neighbours, kept beside the scenes."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -43,7 +44,7 @@ class RayVotes(VoxelCache):
         super().__init__(folder, geometry, "unobserved", fingerprint, num_classes, workers, [labelling])
         self.window = window
 
-    def class_counts(self, scenes: list[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
+    def class_counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
         """Return `counts`; without classes every occupied class is as frequent as any other.
 
         Raises:
