@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.protocol import is_finite
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data.formats.dataset_scene import Cloud, scan_of_points
 from omniocc.data.source import LidarScan, Points
@@ -205,7 +206,8 @@ class SceneReader(SceneFolder):
         points = self.points(frame) if FROM_LOG in self.meta["facts"] else None
         if points is None:
             return self.lidar(frame)
-        if (position_m := self.meta["facts"].get(LIDAR_POSITION)) is None:
+        position_m = self.meta["facts"].get(LIDAR_POSITION)
+        if not isinstance(position_m, list) or len(position_m) != 3 or not all(map(is_finite, position_m)):
             raise self.damaged(META, "it does not state where the LiDAR was; remove the scene and record it again")
         return scan_of_points(Cloud(points.points_m, points.labels, np.array(position_m, np.float32)))
 
