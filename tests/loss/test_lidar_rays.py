@@ -6,7 +6,7 @@ import torch
 
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.loss import LidarRays, RayLoss, Rays, RayWindow, Semantics
+from omniocc.loss import Dice, LidarRays, RayLoss, Rays, RayWindow, Semantics
 from omniocc.loss.lidar_rays import draw_rays
 
 GRID = Cuboid((6, 5, 4), (-3.0, 3.0), (-2.5, 2.5), (-1.0, 1.0))
@@ -181,13 +181,17 @@ def test_a_batch_without_rays_is_one_line():
     assert "\n" not in str(caught.value)
 
 
+def test_terms_of_voxels_need_classes():
+    with pytest.raises(ValueError, match=r"rays\.classes is false, but terms of voxels need classes"):
+        RayLoss({"dice": Dice()}, {}, {"dice": 1.0}, {}, RayWindow([0], False))
+
+
 def test_terms_of_rays_have_names_and_weights():
     with pytest.raises(ValueError, match="same names"):
         ray_loss({"semantics": 1.0})
     rays = rays_of([(0.0, 0, 0), (5.5, 0, 0), 2])
     logits, draws = torch.randn(1, 3, *LINE.shape), torch.Generator
-    prediction = type("Prediction", (), {"logits": logits})
-    terms = ray_loss({"semantics": 1.0, "rays": 2.0}).ray_terms(prediction, rays, draws().manual_seed(0))
+    terms = ray_loss({"semantics": 1.0, "rays": 2.0}).ray_terms(logits, rays, draws().manual_seed(0))
     plain = LidarRays(LINE, 10, 4, 1.0)(logits, rays, draws().manual_seed(0))
     assert list(terms) == ["rays"]
     torch.testing.assert_close(terms["rays"], 2 * plain)

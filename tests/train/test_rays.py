@@ -1,5 +1,7 @@
 """Training on measured rays: without voxel labels, from votes, and what the stages read for it."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from batches import RIG, make_batch
@@ -43,13 +45,47 @@ def test_the_stages_read_what_the_loss_learns_from(loss, smoke, monkeypatch, tmp
     _, sketch, occupancy = stages_of(parts, parts.data())
     of_sketch, of_test = sketch.needs(sketch.task(RIG))
     training, test = occupancy.needs(occupancy.task(RIG))
-    assert of_test.votes is test.votes is test.rays is of_sketch.rays is None
-    assert (of_sketch.voxels, of_test.voxels, test.voxels) == (True, True, True)
+    assert of_test.votes is of_test.rays is test.votes is test.rays is None
+    assert (of_test.voxels, test.voxels) == (True, True)
     assert training.voxels == (loss != "lidar_rays")
     if loss == "paper":
         assert windows == []
         assert of_sketch.votes is training.votes is training.rays is None
         return
     window = RayWindow([0], True)
-    assert (of_sketch.votes, training.votes) == (RayWindow([0], False), window)
-    assert training.rays == (window if loss == "lidar_rays" else None)
+    assert of_sketch.voxels == training.voxels
+    if loss == "voted_rays":
+        assert (of_sketch.votes, training.votes) == (window, window)
+        assert of_sketch.rays is training.rays is None
+    else:
+        assert of_sketch.votes is training.votes is None
+        assert (of_sketch.rays, training.rays) == (RayWindow([0], False), window)
+
+
+def test_the_sketch_learns_from_rays(smoke):
+    parts = Parts(smoke("model/sketch=omni", "loss=lidar_rays"))
+    data = parts.data()
+    sketch = stages_of(parts, data)[1].task(RIG)
+    ends = 8 * torch.nn.functional.normalize(torch.randn(2, 500, 3), dim=-1)
+    labels = torch.full((2, 500), 255, dtype=torch.uint8)
+    batch = make_batch(shaped_as(data.geometry), [(0, 1), (1, 2)])._replace(
+        voxels=None,
+        depth_range_m=torch.full((2, 12, 48), 8.0),
+        scan_origins=torch.zeros_like(ends),
+        scan_ends=ends,
+        scan_labels=labels,
+    )
+    optimizer, values = torch.optim.Adam(sketch.parameters(), 0.01), []
+    for _ in range(15):
+        optimizer.zero_grad()
+        loss = sketch.training_step(batch, 0)
+        loss.backward()
+        optimizer.step()
+        values.append(loss.item())
+    assert values[-1] < 0.8 * values[0]
+    assert not any(key.startswith("loss.") for key in sketch.state_dict())
+
+
+def shaped_as(geometry):
+    model = SimpleNamespace(geometry=geometry, temporal=SimpleNamespace(frames=1))
+    return SimpleNamespace(model=model)

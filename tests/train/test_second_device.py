@@ -18,7 +18,7 @@ from omniocc.predict.predictor import Input, Predictor, predict_depth
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.train.depth import DepthTask
 from omniocc.train.every_frame import FrameOutputs
-from omniocc.train.occupancy import rays_of
+from omniocc.train.sketch import rays_of
 from omniocc.train.stage_task import step_generator
 from omniocc.train.stages import predict_range_m
 
@@ -49,7 +49,7 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
     batch = task.augment(on_device(task, samples), step_generator(task, task.config["seed"], 0))
     prediction = task.predict(batch)
     terms = task.loss(prediction, batch.voxels, batch.pixel_labels)
-    terms |= task.loss.ray_terms(prediction, rays_of(batch), step_generator(task, 0, 0))
+    terms |= task.loss.ray_terms(prediction.logits, rays_of(batch), step_generator(task, 0, 0))
     torch.stack(list(terms.values())).sum().backward()
     grads = [parameter.grad for parameter in task.model.parameters() if parameter.requires_grad]
     assert all(tagged(grad) for grad in grads)

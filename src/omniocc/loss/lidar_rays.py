@@ -82,6 +82,13 @@ def hit_cells(grid: Grid, rays: Rays) -> tuple[Int64[Tensor, "B R"], Bool[Tensor
     return cells, inside & (rays.labels != FREE) & rays.origins_m.isfinite().all(-1)
 
 
+def occupied_cells(grid: Grid, rays: Rays) -> Bool[Tensor, "B cells"]:
+    """Return the cells in which a ray of the sample ends at a hit."""
+    cells, hit = hit_cells(grid, rays)
+    counts = torch.zeros(len(cells), grid.num_cells, dtype=torch.int32, device=cells.device)
+    return counts.scatter_add_(1, cells, hit.int()) > 0
+
+
 def ray_queries(grid: Grid, rays: Rays, places: Float32[Tensor, "B R Q"], occupied: Bool[Tensor, "B cells"]) -> Queries:
     """Return the end of every ray, then Q places before it.
 
@@ -155,10 +162,7 @@ class LidarRays(nn.Module):
             generator: of rays and places, on the CPU.
         """
         with torch.autocast(logits.device.type, enabled=False):
-            cells, hit = hit_cells(self.geometry, rays)
-            occupied = torch.zeros(len(logits), self.geometry.num_cells, dtype=torch.int32, device=logits.device)
-            occupied = occupied.scatter_add_(1, cells, hit.int()) > 0
-            drawn = draw_rays(rays, self.number, generator)
+            occupied, drawn = occupied_cells(self.geometry, rays), draw_rays(rays, self.number, generator)
             steps = torch.arange(self.queries) + torch.rand(*drawn.labels.shape, self.queries, generator=generator)
             places = (steps / self.queries).to(logits.device)
             return unlikely_queries(logits, ray_queries(self.geometry, drawn, places, occupied), self.free_weight)

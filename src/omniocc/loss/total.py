@@ -67,13 +67,14 @@ class TotalLoss(nn.Module):
             label of a block is the most frequent class of its occupied voxels (`omniocc.geometry.downsample`).
 
     Attributes:
-        needed_rays: measured rays that the terms need; None: none.
+        lidar: losses of (voxel logits, measured rays, generator of random choices); none here, see `RayLoss`.
+        rays: measured rays from which training learns; None: it learns from voxel labels.
 
     Raises:
         ValueError: if the names in `weights` are not those of the terms, or a name occurs in two groups.
     """
 
-    needed_rays: RayWindow | None = None
+    rays: RayWindow | None = None
 
     def __init__(
         self,
@@ -94,6 +95,7 @@ class TotalLoss(nn.Module):
         self.ray = nn.ModuleDict(dict(ray))
         self.run = nn.ModuleDict(dict(run))
         self.coarse = nn.ModuleDict(dict(coarse))
+        self.lidar = nn.ModuleDict()
         self.weights = dict(weights)
 
     @property
@@ -102,10 +104,18 @@ class TotalLoss(nn.Module):
         return any(len(group) for group in (self.voxel, self.run, self.coarse))
 
     def ray_terms(
-        self, prediction: HasLogits, rays: Rays | None, generator: torch.Generator
+        self, logits: Float[Tensor, "B C X Y Z"], rays: Rays | None, generator: torch.Generator
     ) -> dict[str, Float32[Tensor, ""]]:
-        """Return the weighted terms of measured rays by name: none."""
-        return {}
+        """Return the weighted terms of measured rays by name; `generator` is on the CPU.
+
+        Raises:
+            UserError: if there are such terms, but no rays.
+        """
+        if not len(self.lidar):
+            return {}
+        if rays is None:
+            raise UserError("loss=lidar_rays needs LiDAR scans, which these frames lack; loss=paper needs voxel labels")
+        return {name: self.weights[name] * loss(logits, rays, generator) for name, loss in self.lidar.items()}
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
         """Set the number of training voxels of each class in the losses that weigh classes."""
@@ -163,6 +173,9 @@ class RayLoss(TotalLoss):
     Args:
         lidar: losses of (voxel logits, measured rays, generator of random choices).
         rays: which rays a frame is trained on.
+
+    Raises:
+        ValueError: as `TotalLoss`, or if there are terms of voxels, but rays without classes.
     """
 
     def __init__(
@@ -179,22 +192,9 @@ class RayLoss(TotalLoss):
         # the names of all terms are checked together
         super().__init__(voxel, {**pixel, **lidar}, weights, ray, run, coarse)
         self.pixel, self.lidar = nn.ModuleDict(dict(pixel)), nn.ModuleDict(dict(lidar))
-        self.needed_rays = rays if lidar else None
-
-    def ray_terms(
-        self, prediction: HasLogits, rays: Rays | None, generator: torch.Generator
-    ) -> dict[str, Float32[Tensor, ""]]:
-        """Return the weighted terms of measured rays by name.
-
-        Raises:
-            UserError: if there are no rays.
-        """
-        if not len(self.lidar):
-            return {}
-        if rays is None:
-            raise UserError("loss=lidar_rays needs LiDAR scans, which these frames lack; loss=paper needs voxel labels")
-        terms = {name: loss(prediction.logits, rays, generator) for name, loss in self.lidar.items()}
-        return {name: self.weights[name] * term for name, term in terms.items()}
+        self.rays = rays
+        if self.needs_voxels and not rays.classes:
+            raise ValueError("rays.classes is false, but terms of voxels need classes; use terms of rays alone")
 
 
 def labels_of_blocks(voxels: UInt8[Tensor, "B X Y Z"], block: int, num_classes: int) -> UInt8[Tensor, "B x y z"]:

@@ -13,14 +13,14 @@ from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, RangeMixture, SourceSpec
 from omniocc.errors import UserError
-from omniocc.loss import Rays, TotalLoss
+from omniocc.loss import TotalLoss
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import LearnedSketch, Sketch, Sketched
 from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
 from omniocc.train.scene_counts import SceneCounts
 from omniocc.train.scores import Scores
-from omniocc.train.sketch import finite_ranges
+from omniocc.train.sketch import finite_ranges, rays_of
 from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 
@@ -122,7 +122,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
             batch = with_other_ranges(batch, self.model.sketch, self.mixture, generator)
         prediction = self.predict(batch)
         terms = self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m)
-        return log_terms(self, terms | self.loss.ray_terms(prediction, rays_of(batch), generator), batch)
+        return log_terms(self, terms | self.loss.ray_terms(prediction.logits, rays_of(batch), generator), batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted labels."""
@@ -208,13 +208,6 @@ def with_other_ranges(batch: Batch, sketch: Sketch, mixture: RangeMixture, gener
         evidence = evidence.clone()
         evidence[changed, -1] = found.bits
     return batch._replace(candidates=candidates, evidence=evidence)
-
-
-def rays_of(batch: Batch) -> Rays | None:
-    """Return the measured rays of a batch, if it has any."""
-    if batch.scan_origins is None or batch.scan_ends is None or batch.scan_labels is None:
-        return None
-    return Rays(batch.scan_origins, batch.scan_ends, batch.scan_labels)
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:

@@ -15,10 +15,10 @@ from omegaconf import OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.data import Needs, OccupancyData
-from omniocc.data.labels.ray_votes import RayVotes
 from omniocc.data.source.cameras import first_rig
 from omniocc.errors import FAULTS, UserError, moved_by, reason_of
 from omniocc.io import atomic_write
+from omniocc.loss import TotalLoss
 from omniocc.parts import Parts
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST, AtomicCheckpointIO
@@ -129,10 +129,16 @@ class Stage(ABC):
         """Return what is predicted for every frame and kept for later stages; None if nothing is."""
         return None
 
-    def ray_votes(self, classes: bool = True) -> RayVotes | None:
-        """Return the labels that rays vote, if training learns from measured rays; with `classes` false without any."""
-        window = self.parts.ray_window()
-        return None if window is None else self.data.ray_votes(replace(window, classes=classes and window.classes))
+    def ray_needs(self, loss: TotalLoss, classes: bool = True) -> dict[str, Any]:
+        """Return what training reads for a loss that learns from measured rays (`Needs`); nothing for others.
+
+        With `classes` false rays have none, where the stage tells occupied from free only.
+        """
+        if loss.rays is None:
+            return {}
+        votes = self.data.ray_votes(loss.rays) if loss.needs_voxels else None
+        rays = replace(loss.rays, classes=classes and loss.rays.classes) if len(loss.lidar) else None
+        return {"voxels": loss.needs_voxels, "votes": votes, "rays": rays}
 
     def amount(self, frames: int, trainer: Trainer) -> Amount:
         """Return how much training the recipe asks for, given the number of training frames."""

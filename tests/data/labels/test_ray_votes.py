@@ -1,10 +1,8 @@
-import math
-
 import numpy as np
 import pytest
 import torch
 
-from omniocc.data.labels.ray_votes import RayVotes, vote_rays
+from omniocc.data.labels.ray_votes import RayVotes, count_rays, vote_rays
 from omniocc.data.source import LidarScan
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
@@ -41,18 +39,17 @@ class Scene:
 
 
 def test_hits_vote_and_cells_that_rays_leave_are_free():
-    assert vote_rays(LINE, rays(), True, 4).flatten().tolist() == [0, 0, 0, 255, 0, 2, 255, 255]
-    assert vote_rays(LINE, rays(), False, 4).flatten().tolist() == [0, 0, 0, 1, 0, 1, 255, 255]
+    assert vote_rays(LINE, rays(), 4).flatten().tolist() == [0, 0, 0, 255, 0, 2, 255, 255]
 
 
 def test_a_ray_without_a_hit_frees_its_whole_way():
     origins, ends = torch.tensor([[[2.5, 0, 0]]]), torch.tensor([[[1000.0, 0, 0]]])
-    votes = vote_rays(LINE, Rays(origins, ends, torch.zeros(1, 1, dtype=torch.uint8)), True, 4)
+    votes = vote_rays(LINE, Rays(origins, ends, torch.zeros(1, 1, dtype=torch.uint8)), 4)
     assert votes.flatten().tolist() == [255, 255, 0, 0, 0, 0, 0, 0]
 
 
-def votes_of(tmp_path, classes=True):
-    return RayVotes(tmp_path, LINE, RayWindow([0], classes), "data", num_classes=4)
+def votes_of(tmp_path):
+    return RayVotes(tmp_path, LINE, RayWindow([0], True), "data", num_classes=4)
 
 
 def test_votes_are_kept_beside_those_of_other_windows(tmp_path):
@@ -63,24 +60,33 @@ def test_votes_are_kept_beside_those_of_other_windows(tmp_path):
     assert votes.read(scenes[0], 0).flatten().tolist() == expected
     scenes[0].label = 3
     assert votes.read(scenes[0], 0).flatten().tolist() == expected, "read from the file"
-    windows = (RayWindow([0], True), RayWindow([0, 1], True), RayWindow([0], False))
-    assert len({RayVotes(tmp_path, LINE, window, "data").folder for window in windows}) == 3
+    assert RayVotes(tmp_path, LINE, RayWindow([0, 1], True), "data").folder != votes.folder
 
 
-def test_counts_of_rays_without_classes_have_equal_classes(tmp_path):
-    counts = votes_of(tmp_path, classes=False).class_counts([Scene(255), Scene(255)])
-    occupied = counts[1:].sum(0).flatten()
-    assert counts[1:].unique(dim=0).shape[0] == 1
-    assert occupied.tolist() == [0, 0, 0, 0, 6, 0, 0, 0]
-    assert counts[0].flatten().tolist() == [6, 6, 6, 6, 0, 0, 0, 0], "in the same measure"
-    assert math.isclose(counts.sum(), 30)
-    counted = votes_of(tmp_path).class_counts([Scene(2)])
-    assert counted[:, 4].flatten().tolist() == [0, 0, 1, 0]
+def counts_of(scenes, classes=True):
+    return count_rays(scenes, LINE, RayWindow([0], classes), 4)
 
 
-def test_rays_that_are_to_have_classes_but_have_none_are_one_line(tmp_path):
+def test_counts_have_as_many_hits_as_places_before_them():
+    """The ray is 4.5 m long, and its 8 places lie 0.5 m apart: one in the first cell, then two in each."""
+    counts = counts_of([Scene(2), Scene(2)]).flatten(1)
+    free = [3 * 2 * n for n in (2, 2, 2, 2, 0, 0, 0, 0)]
+    assert counts[0].tolist() == free
+    assert counts[2].tolist() == [0, 0, 0, 0, sum(free), 0, 0, 0]
+    assert not counts[[1, 3]].any()
+
+
+def test_hits_of_unknown_class_count_for_all_classes_alike():
+    counts = counts_of([Scene(255), Scene(255)], classes=False).flatten(1)
+    assert counts[1:, 4].tolist() == [16, 16, 16]
+    assert counts[0].sum() == 48
+    mixed = counts_of([Scene(255), Scene(2)]).flatten(1)
+    assert mixed[1:, 4].tolist() == [8, 32, 8]
+
+
+def test_rays_that_are_to_have_classes_but_have_none_are_one_line():
     with pytest.raises(DataError, match=r"^no ray .* hits a known class: loss\.rays\.classes=false uses none$"):
-        votes_of(tmp_path).class_counts([Scene(255)])
+        counts_of([Scene(255)])
 
 
 def test_a_frame_without_a_scan_is_unknown(tmp_path):

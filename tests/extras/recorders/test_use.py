@@ -64,10 +64,9 @@ def test_the_geometry_alone_learns_from_rays_without_classes(recorder, smoke, tm
     data.prepare_data()
     cfg = smoke("loss=lidar_rays", "loss.rays.frames=[0,-1,1]", "model/sketch=dense", "model.num_classes=2")
     task = build_task(Parts(cfg).without_head(), data.spec)
-    window = task.loss.needed_rays
-    data.set_needs(Needs(voxels=False, scores=False, rays=window), Needs())
+    data.set_needs(Needs(voxels=False, scores=False, rays=task.loss.rays), Needs())
     data.setup()
-    counts = data.voxel_counts(data.ray_votes(window))
+    counts = data.voxel_counts(task.loss)
     assert counts.flatten(1).sum(1).min() > 0
     task.set_training_statistics(counts)
     batch = next(iter(data.train_dataloader()))
