@@ -286,19 +286,10 @@ class OccupancyData(LightningDataModule):
             return self.voxels.counts(scenes)
 
     def _ray_counts(self, window: RayWindow, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
-        names = [scene.name for scene in scenes]
-        parts = [
-            RAY_VERSION,
-            self.source.fingerprint,
-            names,
-            repr(self.geometry),
-            sorted(window.frames),
-            window.classes,
-        ]
-        path, shape = (
-            self.source.folder / f"ray-counts-{digest(parts)[:12]}.zst",
-            (self.num_classes, *self.geometry.shape),
-        )
+        names, shape = [scene.name for scene in scenes], (self.num_classes, *self.geometry.shape)
+        which = [repr(self.geometry), sorted(window.frames), window.classes]
+        key = digest([RAY_VERSION, self.source.fingerprint, names, *which])
+        path = self.source.folder / f"ray-counts-{key[:12]}.zst"
         return kept_counts(path, shape, lambda: count_rays(scenes, self.geometry, window, self.num_classes))
 
     def train_dataloader(self) -> DataLoader[Batch]:

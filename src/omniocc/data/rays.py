@@ -48,7 +48,8 @@ def rays_around(scene: SceneFrames, frame: int, window: RayWindow) -> Rays | Non
             stays = (labels == FREE) | ~in_front(ends_m, own)
         parts.append((origins_m[stays], ends_m[stays], labels[stays]))
     origins_m, ends_m, labels = (torch.from_numpy(np.concatenate(column))[None] for column in zip(*parts, strict=True))
-    return Rays(origins_m, ends_m, labels if window.classes else labels.where(labels == FREE, UNKNOWN))
+    rays = Rays(origins_m, ends_m, labels)
+    return rays if window.classes else rays.without_classes()
 
 
 def _of(scan: LidarScan, chosen: Bool[np.ndarray, " R"]) -> LidarScan:

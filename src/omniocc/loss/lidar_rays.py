@@ -30,6 +30,10 @@ class Rays(NamedTuple):
     ends_m: Float32[Tensor, "B R 3"]
     labels: UInt8[Tensor, "B R"]
 
+    def without_classes(self) -> "Rays":
+        """Return the rays with hits of unknown class."""
+        return self._replace(labels=self.labels.where(self.labels == FREE, UNKNOWN))
+
 
 @dataclass(frozen=True)
 class RayWindow:

@@ -57,7 +57,9 @@ class SketchTask(StageTask[nn.Module]):
             batch = batch._replace(depth_range_m=self.mixture(batch.depth_range_m, batch.erp_range_m, draw)[0])
         terms = {} if batch.voxels is None else self.sketch.weighted_losses(*panorama(batch), batch.voxels)
         if self.loss is not None:
-            terms |= self.loss.ray_terms(self.sketch.logits(*panorama(batch)), rays_of(batch), draw)
+            rays = rays_of(batch)
+            logits = self.sketch.logits(*panorama(batch))
+            terms |= self.loss.ray_terms(logits, rays and rays.without_classes(), draw)
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:

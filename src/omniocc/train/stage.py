@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from time import time
@@ -129,16 +128,12 @@ class Stage(ABC):
         """Return what is predicted for every frame and kept for later stages; None if nothing is."""
         return None
 
-    def ray_needs(self, loss: TotalLoss, classes: bool = True) -> dict[str, Any]:
-        """Return what training reads for a loss that learns from measured rays (`Needs`); nothing for others.
-
-        With `classes` false rays have none, where the stage tells occupied from free only.
-        """
+    def ray_needs(self, loss: TotalLoss) -> dict[str, Any]:
+        """Return what training reads for a loss that learns from measured rays, fields of `Needs`; none for others."""
         if loss.rays is None:
             return {}
         votes = self.data.ray_votes(loss.rays) if loss.needs_voxels else None
-        rays = replace(loss.rays, classes=classes and loss.rays.classes) if len(loss.lidar) else None
-        return {"voxels": loss.needs_voxels, "votes": votes, "rays": rays}
+        return {"voxels": loss.needs_voxels, "votes": votes, "rays": loss.rays if len(loss.lidar) else None}
 
     def amount(self, frames: int, trainer: Trainer) -> Amount:
         """Return how much training the recipe asks for, given the number of training frames."""

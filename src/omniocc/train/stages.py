@@ -221,7 +221,7 @@ class SketchStage(EarlierStage):
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
         mixed = cast(SketchTask, task).mixture is not None
-        return test._replace(images=False, panorama=mixed, **self.ray_needs(self.parts.loss(), classes=False)), test
+        return test._replace(images=False, panorama=mixed, **self.ray_needs(self.parts.loss())), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
