@@ -12,6 +12,7 @@ from omniocc.data.labels.counts import all_frames
 from omniocc.data.labels.voxels import VoxelCache, ray_paths
 from omniocc.data.rays import rays_around
 from omniocc.data.source import SceneFrames
+from omniocc.data.spacing import evenly_spaced
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.loss import Rays, RayWindow
@@ -22,6 +23,8 @@ RAY_VERSION = 1
 """Raise it when the same scans would give other labels or counts."""
 QUERIES = 8
 """Places before the end of a ray that are counted."""
+COUNTED = 1000
+"""Training frames at most whose rays are counted, evenly spaced."""
 
 
 class RayVotes(VoxelCache):
@@ -65,7 +68,7 @@ def vote_rays(grid: Grid, rays: Rays, num_classes: int) -> UInt8[Tensor, "X Y Z"
 def count_rays(
     scenes: Sequence[SceneFrames], grid: Grid, window: RayWindow, num_classes: int
 ) -> Int64[Tensor, "C X Y Z"]:
-    """Return how often rays of all frames find each cell free, or of each class, in the measure of the loss of rays.
+    """Return how often rays find each cell free, or of each class, in at most `COUNTED` frames.
 
     Hits and places before them have the same sum, since the loss (`omniocc.loss.LidarRays`) weighs them equally. Hits
     of unknown class count for all occupied classes alike.
@@ -73,18 +76,20 @@ def count_rays(
     Raises:
         DataError: if no hit has a class, but classes are to be used; or naming the frame that is damaged.
     """
-    hits = torch.zeros(UNKNOWN + 1, grid.num_cells, dtype=torch.float64)
+    hits = torch.zeros(num_classes + 1, grid.num_cells, dtype=torch.float64)  # free, the classes, unknown
     middles, frames = (torch.arange(QUERIES) + 0.5) / QUERIES, all_frames(scenes)
+    frames = [frames[number] for number in evenly_spaced(len(frames), COUNTED)]
     with Progress("frequencies of the classes on rays", len(frames)) as progress:
         for scene, frame in frames:
             rays = rays_around(scene, frame, window)
             if rays is not None:
                 places = middles.expand(*rays.labels.shape, -1)
                 cells, labels, counted = ray_queries(grid, rays, places, occupied_cells(grid, rays))
-                place = labels[counted].long() * grid.num_cells + cells[counted]
+                row = labels[counted].long().clamp(max=num_classes)
+                place = row * grid.num_cells + cells[counted]
                 hits += place.bincount(minlength=hits.numel()).view_as(hits)
             progress.advance()
-    free, unknown, known = hits[FREE], hits[UNKNOWN], hits[FREE + 1 : num_classes]
+    free, known, unknown = hits[FREE], hits[FREE + 1 : num_classes], hits[num_classes]
     if window.classes and not known.any():
         raise DataError("no ray of the training frames hits a known class: loss.rays.classes=false uses none")
     occupied = (num_classes - 1) * known + unknown
