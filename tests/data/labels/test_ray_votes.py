@@ -89,6 +89,13 @@ def test_rays_that_are_to_have_classes_but_have_none_are_one_line():
         counts_of([Scene(255)])
 
 
+def test_frames_without_rays_are_one_line():
+    scene = Scene(2)
+    scene.lidar = lambda frame: None
+    with pytest.raises(DataError, match=r"^the training frames have no LiDAR scan that crosses the grid; .*voxels$"):
+        counts_of([scene])
+
+
 def test_a_frame_without_a_scan_is_unknown(tmp_path):
     scene = Scene(2)
     scene.lidar = lambda frame: None

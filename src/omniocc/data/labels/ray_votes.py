@@ -74,7 +74,7 @@ def count_rays(
     of unknown class count for all occupied classes alike.
 
     Raises:
-        DataError: if no hit has a class, but classes are to be used; or naming the frame that is damaged.
+        DataError: if there are no rays, or no hit has a class, but classes are to be used; or naming a damaged frame.
     """
     hits = torch.zeros(num_classes + 1, grid.num_cells, dtype=torch.float64)  # free, the classes, unknown
     middles, frames = (torch.arange(QUERIES) + 0.5) / QUERIES, all_frames(scenes)
@@ -90,6 +90,8 @@ def count_rays(
                 hits += place.bincount(minlength=hits.numel()).view_as(hits)
             progress.advance()
     free, known, unknown = hits[FREE], hits[FREE + 1 : num_classes], hits[num_classes]
+    if not hits.any():
+        raise DataError("the training frames have no LiDAR scan that crosses the grid; loss=paper learns from voxels")
     if window.classes and not known.any():
         raise DataError("no ray of the training frames hits a known class: loss.rays.classes=false uses none")
     occupied = (num_classes - 1) * known + unknown
