@@ -177,7 +177,7 @@ def ray_loss(weights):
 
 def test_a_batch_without_rays_is_one_line():
     with pytest.raises(UserError, match=r"^loss=lidar_rays needs LiDAR scans.*$") as caught:
-        ray_loss({"semantics": 1.0, "rays": 2.0}).ray_terms(None, None, torch.Generator())
+        ray_loss({"semantics": 1.0, "rays": 2.0}).ray_terms(torch.zeros(1, 3, *LINE.shape), None, torch.Generator())
     assert "\n" not in str(caught.value)
 
 
