@@ -35,6 +35,9 @@ class Batch(NamedTuple):
         lidar_directions: unit rays in the ego frame. None: those of the source, `SourceSpec.lidar_directions`.
         lidar_origins: where the rays start, m, ego frame. None: in the ego origin.
         lidar_moving: whether what these rays hit moves. None: the dataset does not tell.
+        scan_origins: where measured rays start from which training learns, m, ego frame; nan where a sample has fewer.
+        scan_ends: where these rays end, m, ego frame.
+        scan_labels: class at their ends; 0 where nothing was hit before, 255 where the class is unknown.
         erp_range_m: true panorama of range around the ego origin, inf for sky, nan unknown.
         camera_range_m: true range of every pixel; inf for sky, nan for own car, outside the lens or padded.
         depth_range_m: panorama that the depth stage predicted, nan where unknown.
@@ -58,6 +61,9 @@ class Batch(NamedTuple):
     lidar_directions: Float32[Tensor, "B R 3"] | None = None
     lidar_origins: Float32[Tensor, "B R 3"] | None = None
     lidar_moving: Bool[Tensor, "B R"] | None = None
+    scan_origins: Float32[Tensor, "B S 3"] | None = None
+    scan_ends: Float32[Tensor, "B S 3"] | None = None
+    scan_labels: UInt8[Tensor, "B S"] | None = None
     erp_range_m: Float32[Tensor, "B h w"] | None = None
     camera_range_m: Float32[Tensor, "B N H W"] | None = None
     depth_range_m: Float32[Tensor, "B h w"] | None = None

@@ -66,9 +66,13 @@ class Parts:
         mixture = self.cfg.get("range_mixture")  # checkpoints of older versions have none
         return None if mixture is None else build(mixture)
 
+    def loss(self) -> Any:
+        """Return the loss of the occupancy stage, `omniocc.loss.TotalLoss`."""
+        return build(self.cfg.loss)
+
     def task_parts(self) -> tuple[Any, Any, Any]:
         """Return loss, optimiser and augmentation of the occupancy stage."""
-        return build(self.cfg.loss), build(self.cfg.optimizer), build(self.cfg.augment)
+        return self.loss(), build(self.cfg.optimizer), build(self.cfg.augment)
 
     def recipe(self, stage: str) -> Any:
         """Return the training recipe of a stage, `omniocc.train.Recipe`."""

@@ -174,6 +174,7 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
         "interval",
         "lidar",
         "moving",
+        "one_lidar",
         "origins",
         "places",
         "reasons",

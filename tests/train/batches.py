@@ -4,6 +4,7 @@ import torch
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
+from rayiou.directions import rays_around
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 BESIDE = {
@@ -39,6 +40,7 @@ def make_batch(task, samples, with_candidates=True):
 
     windows = [[frame(scene, max(0, number - back)) for back in reversed(range(frames))] for scene, number in samples]
     images, poses, marked = (torch.stack([torch.stack([f[k] for f in w]) for w in windows]) for k in range(3))
+    ends = 9 * rays_around(10).float().expand(len(samples), -1, -1)
     return Batch(
         images=images,
         rigs=((RIG,) * frames,) * len(samples),
@@ -47,6 +49,9 @@ def make_batch(task, samples, with_candidates=True):
         pixel_labels=torch.stack([w[-1][4] for w in windows]),
         lidar_range_m=torch.full((len(samples), 14040), 5.0),
         lidar_labels=torch.ones(len(samples), 14040, dtype=torch.uint8),
+        scan_origins=torch.zeros_like(ends),
+        scan_ends=ends,
+        scan_labels=(torch.arange(ends.shape[1]) % 12).to(torch.uint8).expand(len(samples), -1),
         frame_ids=tuple(f"{scene}/{number:06d}" for scene, number in samples),
         candidates=marked if with_candidates else None,
         evidence=(marked * 200).to(torch.uint8) if with_candidates else None,

@@ -18,6 +18,7 @@ from omniocc.predict.predictor import Input, Predictor, predict_depth
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.train.depth import DepthTask
 from omniocc.train.every_frame import FrameOutputs
+from omniocc.train.sketch import rays_of
 from omniocc.train.stage_task import step_generator
 from omniocc.train.stages import predict_range_m
 
@@ -46,7 +47,9 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
     """Make a step of training with random changes of the images, then score a batch frame by frame."""
     task.to(CUDA)
     batch = task.augment(on_device(task, samples), step_generator(task, task.config["seed"], 0))
-    terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels)
+    prediction = task.predict(batch)
+    terms = task.loss(prediction, batch.voxels, batch.pixel_labels)
+    terms |= task.loss.ray_terms(prediction.logits, rays_of(batch), step_generator(task, 0, 0))
     torch.stack(list(terms.values())).sum().backward()
     grads = [parameter.grad for parameter in task.model.parameters() if parameter.requires_grad]
     assert all(tagged(grad) for grad in grads)
@@ -56,7 +59,7 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
 
 
 @pytest.mark.parametrize(
-    "option", [*OPTIONS, "loss=with_ranges model=bevdet", "loss=with_first_hits", "model=extended"]
+    "option", [*OPTIONS, "loss=with_ranges model=bevdet", "loss=with_first_hits", "loss=lidar_rays", "model=extended"]
 )
 def test_every_option_trains_and_is_scored_there(option, make_task, device):
     sketch = [] if option.startswith(("model/sketch", "model=extended")) else ["model/sketch=dense"]

@@ -53,6 +53,8 @@ def test_a_missing_stage_is_an_error_with_a_remedy(omni):
         ("stages.sketch.seed=3", ["sketch", "candidates"]),
         ("model.sketch.dilation_m=[0,0,0]", ["candidates"]),
         ("model.sketch.threshold=0.4", ["candidates"]),
+        ("loss=lidar_rays", ["sketch", "candidates"]),
+        ("loss=with_first_hits", []),
         ("model/refiner=none", []),
         ("stages.occupancy.max_steps=5", []),
         ("stages.occupancy.validate_every_n_epochs=2", []),
@@ -67,6 +69,22 @@ def test_a_missing_stage_is_an_error_with_a_remedy(omni):
 )
 def test_keys_depend_only_on_what_decides_the_result(override, expected, changed):
     assert changed(*([override] if isinstance(override, str) else override)) == expected
+
+
+def test_the_sketch_of_rays_depends_on_their_frames_alone(omni):
+    """Whether they have classes does not matter: a sketch tells occupied from free."""
+    frames = "loss.rays.frames=[0,1]"
+    voted, rays, geometry, window = (
+        stage_keys(omni(*words), "data").sketch
+        for words in (
+            ["loss=voted_rays"],
+            ["loss=lidar_rays"],
+            ["loss=lidar_rays", "loss.rays.classes=false"],
+            ["loss=lidar_rays", frames],
+        )
+    )
+    assert rays == geometry
+    assert len({voted, rays, window}) == 3
 
 
 def test_other_data_is_another_result(omni):

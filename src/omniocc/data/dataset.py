@@ -13,11 +13,14 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data.origins import Origins, choose_origins
+from omniocc.data.rays import rays_around
 from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, FrameCache, RangeCache
 from omniocc.geometry import Grid
+from omniocc.loss import RayWindow
 
 NAN = float("nan")
+SCAN_FIELDS = ("scan_origins", "scan_ends", "scan_labels")
 FILL_VALUES: dict[str, float | bool] = {
     "images": 0,
     "voxels": UNKNOWN,
@@ -31,6 +34,9 @@ FILL_VALUES: dict[str, float | bool] = {
     "lidar_directions": 0.0,
     "lidar_origins": 0.0,
     "lidar_moving": False,
+    "scan_origins": NAN,
+    "scan_ends": NAN,
+    "scan_labels": UNKNOWN,
     "erp_range_m": NAN,
     "camera_range_m": NAN,
 }
@@ -55,6 +61,9 @@ class Sample(NamedTuple):
     lidar_directions: Float32[Tensor, "R 3"] | None = None
     lidar_origins: Float32[Tensor, "R 3"] | None = None
     lidar_moving: Bool[Tensor, " R"] | None = None
+    scan_origins: Float32[Tensor, "S 3"] | None = None
+    scan_ends: Float32[Tensor, "S 3"] | None = None
+    scan_labels: UInt8[Tensor, " S"] | None = None
     erp_range_m: Float32[Tensor, "h w"] | None = None
     camera_range_m: Float32[Tensor, "N H W"] | None = None
     depth_range_m: Float32[Tensor, "h w"] | None = None
@@ -76,6 +85,8 @@ class Needs(NamedTuple):
         depth: panorama that the depth stage predicted for the newest frame.
         candidates: voxels that the sketch stage chose in every frame of the window.
         evidence: what the sketch stage knows of every voxel in every frame of the window.
+        votes: labels that are read as `voxels`; None: those of the source.
+        rays: measured rays of the newest frame and its neighbours; None: no rays.
     """
 
     images: bool = True
@@ -87,6 +98,8 @@ class Needs(NamedTuple):
     depth: RangeCache | None = None
     candidates: CandidateCache | None = None
     evidence: EvidenceCache | None = None
+    votes: VoxelLabels | None = None
+    rays: RayWindow | None = None
 
 
 class WindowDataset(Dataset):
@@ -154,7 +167,8 @@ class WindowDataset(Dataset):
             rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
-            voxels=self.voxels.read(labelled, newest) if needs.voxels else None,
+            voxels=(needs.votes or self.voxels).read(labelled, newest) if needs.voxels else None,
+            **({} if needs.rays is None else read_rays(labelled, newest, needs.rays)),
             **(self._read_benchmark(scene, newest) if needs.scores else {}),
             pixel_labels=None if labels is None else stack_cameras(labels, FILL_VALUES["pixel_labels"]),
             **(self._read_lidar(scene, newest) if needs.scores else {}),
@@ -185,6 +199,12 @@ class WindowDataset(Dataset):
             origins = np.zeros_like(scan.directions) if scan.origins is None else scan.origins
             parts |= {"lidar_directions": scan.directions, "lidar_origins": origins}
         return {name: torch.from_numpy(part) for name, part in parts.items()}
+
+
+def read_rays(scene: SceneFrames, frame: int, window: RayWindow) -> dict[str, Tensor]:
+    """Return the fields of a sample with the measured rays of a frame and its neighbours; none without scans."""
+    rays = rays_around(scene, frame, window)
+    return {} if rays is None else dict(zip(SCAN_FIELDS, (part[0] for part in rays), strict=True))
 
 
 def mark_unmeasured(range_m: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

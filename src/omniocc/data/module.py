@@ -14,14 +14,18 @@ from torch.utils.data import DataLoader, DistributedSampler
 from omniocc.batch import Batch, to_device
 from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.labels.counts import kept_counts
+from omniocc.data.labels.ray_votes import RAY_VERSION, RayVotes, count_rays
 from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.loader import Loader
 from omniocc.data.origins import Origins
-from omniocc.data.source import SPLITS, Ignore, SceneSource, SourceSpec, Split, VoxelLabels
+from omniocc.data.source import SPLITS, Ignore, SceneFrames, SceneSource, SourceSpec, Split, VoxelLabels
 from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import digest
 from omniocc.errors import UserError, moved_by
 from omniocc.geometry import Grid
+from omniocc.loss import RayWindow, TotalLoss
 from rayiou.directions import rays_around
 
 # Both derive from DistributedSampler so that Lightning leaves them in place under DDP. Its own would start an
@@ -262,10 +266,31 @@ class OccupancyData(LightningDataModule):
         """Return the samples of a split, after `setup`."""
         return self._datasets[split]
 
-    def voxel_counts(self) -> Int64[Tensor, "C X Y Z"]:
-        """Return the number of training frames in which each cell has each class."""
+    def ray_votes(self, window: RayWindow) -> RayVotes:
+        """Return labels that measured rays vote; those of training frames that are missing are made now."""
+        workers, source = getattr(self.voxels, "workers", 0), self.source
+        votes = RayVotes(source.folder, self.geometry, window, source.fingerprint, self.num_classes, workers)
         with moved_by("data.source.cache"):
-            return self.voxels.counts(self.dataset("train").scenes)
+            votes.prepare(source.scenes("train"))
+        return votes
+
+    def voxel_counts(self, loss: TotalLoss | None = None) -> Int64[Tensor, "C X Y Z"]:
+        """Return how often each cell has each class in training frames, in the labels from which a loss learns.
+
+        These are voxels (also without a loss), voxels that rays vote, or the rays themselves (`count_rays`).
+        """
+        window, scenes = None if loss is None else loss.rays, self.dataset("train").scenes
+        with moved_by("data.source.cache"):
+            if window is not None and loss is not None:
+                return self.ray_votes(window).counts(scenes) if loss.needs_voxels else self._ray_counts(window, scenes)
+            return self.voxels.counts(scenes)
+
+    def _ray_counts(self, window: RayWindow, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
+        names, shape = [scene.name for scene in scenes], (self.num_classes, *self.geometry.shape)
+        which = [repr(self.geometry), sorted(window.frames), window.classes]
+        key = digest([RAY_VERSION, self.source.fingerprint, names, *which])
+        path = self.source.folder / f"ray-counts-{key[:12]}.zst"
+        return kept_counts(path, shape, lambda: count_rays(scenes, self.geometry, window, self.num_classes))
 
     def train_dataloader(self) -> DataLoader[Batch]:
         """Return the shuffled loader; the last incomplete batch of an epoch is left out.

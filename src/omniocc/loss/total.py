@@ -12,6 +12,7 @@ from omniocc.bounds import Weight
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import downsample
+from omniocc.loss.lidar_rays import Rays, RayWindow
 
 
 @runtime_checkable
@@ -65,9 +66,15 @@ class TotalLoss(nn.Module):
         coarse: losses of (logits of blocks, labels of blocks), means over the coarser grids that are predicted; the
             label of a block is the most frequent class of its occupied voxels (`omniocc.geometry.downsample`).
 
+    Attributes:
+        lidar: losses of (voxel logits, measured rays, generator of random choices); none here, see `RayLoss`.
+        rays: measured rays from which training learns; None: it learns from voxel labels.
+
     Raises:
         ValueError: if the names in `weights` are not those of the terms, or a name occurs in two groups.
     """
+
+    rays: RayWindow | None = None
 
     def __init__(
         self,
@@ -88,7 +95,27 @@ class TotalLoss(nn.Module):
         self.ray = nn.ModuleDict(dict(ray))
         self.run = nn.ModuleDict(dict(run))
         self.coarse = nn.ModuleDict(dict(coarse))
+        self.lidar = nn.ModuleDict()
         self.weights = dict(weights)
+
+    @property
+    def needs_voxels(self) -> bool:
+        """Return whether there are terms of voxel labels."""
+        return any(len(group) for group in (self.voxel, self.run, self.coarse))
+
+    def ray_terms(
+        self, logits: Float[Tensor, "B C X Y Z"], rays: Rays | None, generator: torch.Generator
+    ) -> dict[str, Float32[Tensor, ""]]:
+        """Return the weighted terms of measured rays by name; `generator` is on the CPU.
+
+        Raises:
+            UserError: if there are such terms, but no rays.
+        """
+        if not len(self.lidar):
+            return {}
+        if rays is None:
+            raise UserError("loss=lidar_rays needs LiDAR scans, which these frames lack; loss=paper needs voxel labels")
+        return {name: self.weights[name] * loss(logits, rays, generator) for name, loss in self.lidar.items()}
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
         """Set the number of training voxels of each class in the losses that weigh classes."""
@@ -135,6 +162,39 @@ class TotalLoss(nn.Module):
             raise UserError("loss=with_coarse needs a model that classifies blocks: model=oneocc or model=adaptiveocc")
         pairs = [(logits, labels_of_blocks(voxels, block, logits.shape[1])) for block, logits in coarse_logits]
         return {name: torch.stack([loss(*pair) for pair in pairs]).mean() for name, loss in self.coarse.items()}
+
+
+class RayLoss(TotalLoss):
+    """Terms that learn from measured rays, without voxel labels.
+
+    Terms of voxels get labels that the rays vote (`omniocc.data.labels.ray_votes`), terms of rays the rays themselves.
+    Other arguments as in `TotalLoss`.
+
+    Args:
+        lidar: losses of (voxel logits, measured rays, generator of random choices).
+        rays: which rays a frame is trained on.
+
+    Raises:
+        ValueError: as `TotalLoss`, or if there are terms of voxels, but rays without classes.
+    """
+
+    def __init__(
+        self,
+        voxel: Mapping[str, nn.Module],
+        pixel: Mapping[str, nn.Module],
+        weights: Mapping[str, Weight],
+        lidar: Mapping[str, nn.Module],
+        rays: RayWindow,
+        ray: Mapping[str, nn.Module] | None = None,
+        run: Mapping[str, nn.Module] | None = None,
+        coarse: Mapping[str, nn.Module] | None = None,
+    ):
+        # the names of all terms are checked together
+        super().__init__(voxel, {**pixel, **lidar}, weights, ray, run, coarse)
+        self.pixel, self.lidar = nn.ModuleDict(dict(pixel)), nn.ModuleDict(dict(lidar))
+        self.rays = rays
+        if self.needs_voxels and not rays.classes:
+            raise ValueError("rays.classes is false, but terms of voxels need classes; use terms of rays alone")
 
 
 def labels_of_blocks(voxels: UInt8[Tensor, "B X Y Z"], block: int, num_classes: int) -> UInt8[Tensor, "B x y z"]:

@@ -120,6 +120,8 @@ def announce_plan(stages: Sequence[Stage], frames: int, timed: bool = False) -> 
 
 OCCUPIED, CANDIDATES = 0.1, 0.25
 """Fractions of voxels, about those of the virtual world."""
+SCAN_RAYS = 14_040
+"""Measured rays, as many as one LiDAR of the virtual world has."""
 WARM_UP = 2
 """Steps that are not measured: tables of the rig are made in the first."""
 
@@ -185,4 +187,7 @@ def random_batch(stage: Stage, rig: Rig) -> Batch:
         depth_range_m=range_m,
         candidates=torch.rand(size, window, *shape) < CANDIDATES,
         evidence=torch.randint(0, 256, (size, window, *shape), dtype=torch.uint8),
+        scan_origins=torch.zeros(size, SCAN_RAYS, 3),
+        scan_ends=20 * torch.randn(size, SCAN_RAYS, 3),
+        scan_labels=torch.randint(0, classes, (size, SCAN_RAYS), dtype=torch.uint8),
     )

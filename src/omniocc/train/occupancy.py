@@ -20,7 +20,7 @@ from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
 from omniocc.train.scene_counts import SceneCounts
 from omniocc.train.scores import Scores
-from omniocc.train.sketch import finite_ranges
+from omniocc.train.sketch import finite_ranges, rays_of
 from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 
@@ -121,7 +121,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         if self.mixture is not None:
             batch = with_other_ranges(batch, self.model.sketch, self.mixture, generator)
         prediction = self.predict(batch)
-        return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
+        terms = self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m)
+        return log_terms(self, terms | self.loss.ray_terms(prediction.logits, rays_of(batch), generator), batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted labels."""

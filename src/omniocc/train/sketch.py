@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from omniocc.batch import Batch
 from omniocc.data import RangeMixture
 from omniocc.geometry import Cuboid, Cylinder
+from omniocc.loss import Rays, TotalLoss
 from omniocc.metric import CandidateScores
 from omniocc.model.protocols import LearnedSketch
 from omniocc.train.adamw import AdamW
@@ -22,6 +23,7 @@ class SketchTask(StageTask[nn.Module]):
         range_edges_m: ends of the distance bands in which figures are given.
         mixture: better and worse ranges for some training samples; None: the panoramas as they are.
         seed: of the choice of these samples.
+        loss: of the occupancy stage, whose terms of measured rays train the sketch too; None: voxels alone.
     """
 
     STAGE = "sketch"
@@ -34,9 +36,11 @@ class SketchTask(StageTask[nn.Module]):
         config: dict[str, Any],
         mixture: RangeMixture | None = None,
         seed: int = 0,
+        loss: TotalLoss | None = None,
     ):
         super().__init__(model, optimizer, config)
         self.mixture, self.seed = mixture, seed
+        self.loss = loss if loss is not None and len(loss.lidar) else None
         grid = cast(Cylinder | Cuboid, self.sketch.geometry)
         self.raw = CandidateScores(grid, range_edges_m)
         self.dilated = CandidateScores(grid, range_edges_m)
@@ -48,10 +52,14 @@ class SketchTask(StageTask[nn.Module]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
+        draw = step_generator(self, self.seed, batch_index)
         if self.mixture is not None and batch.depth_range_m is not None:
-            draw = step_generator(self, self.seed, batch_index)
             batch = batch._replace(depth_range_m=self.mixture(batch.depth_range_m, batch.erp_range_m, draw)[0])
         terms = {} if batch.voxels is None else self.sketch.weighted_losses(*panorama(batch), batch.voxels)
+        if self.loss is not None:
+            rays = rays_of(batch)
+            logits = self.sketch.logits(*panorama(batch))
+            terms |= self.loss.ray_terms(logits, rays and rays.without_classes(), draw)
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -68,6 +76,13 @@ class SketchTask(StageTask[nn.Module]):
         for prefix, metric in ((f"{split}/sketch", self.dilated), (f"{split}/sketch/raw", self.raw)):
             self.log_dict({f"{prefix}/{key}": value for key, value in metric.compute().items()}, sync_dist=False)
             metric.reset()
+
+
+def rays_of(batch: Batch) -> Rays | None:
+    """Return the measured rays of a batch, if it has any."""
+    if batch.scan_origins is None or batch.scan_ends is None or batch.scan_labels is None:
+        return None
+    return Rays(batch.scan_origins, batch.scan_ends, batch.scan_labels)
 
 
 def panorama(batch: Batch) -> tuple[Tensor, Tensor]:

@@ -17,6 +17,7 @@ from omniocc.data import Needs, OccupancyData
 from omniocc.data.source.cameras import first_rig
 from omniocc.errors import FAULTS, UserError, moved_by, reason_of
 from omniocc.io import atomic_write
+from omniocc.loss import TotalLoss
 from omniocc.parts import Parts
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST, AtomicCheckpointIO
@@ -126,6 +127,13 @@ class Stage(ABC):
     def outputs(self) -> FrameOutputs | None:
         """Return what is predicted for every frame and kept for later stages; None if nothing is."""
         return None
+
+    def ray_needs(self, loss: TotalLoss) -> dict[str, Any]:
+        """Return what training reads for a loss that learns from measured rays, fields of `Needs`; none for others."""
+        if loss.rays is None:
+            return {}
+        votes = self.data.ray_votes(loss.rays) if loss.needs_voxels else None
+        return {"voxels": loss.needs_voxels, "votes": votes, "rays": loss.rays if len(loss.lidar) else None}
 
     def amount(self, frames: int, trainer: Trainer) -> Amount:
         """Return how much training the recipe asks for, given the number of training frames."""

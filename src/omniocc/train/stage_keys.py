@@ -78,7 +78,9 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     labels = config["data"]["ignore"]
     mixture = [config["range_mixture"]] if config.get("range_mixture") else []
     code = foreign_code([network, stages["sketch"], *mixture])
-    recipe = [stages["sketch"], trainer, labels, *mixture]
+    loss = config["loss"]
+    rays = [sorted(loss["rays"]["frames"]), loss["lidar"]] if loss.get("rays") else []
+    recipe = [stages["sketch"], trainer, labels, *mixture, *rays]
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, *recipe, *code])
     arguments = {name: sketch[name] for name in selection}
     candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])

@@ -214,14 +214,14 @@ class SketchStage(EarlierStage):
         return self.store(EvidenceCache, shape, self.folder / "evidence", "evidence", self.keys.sketched_of_all)
 
     def task(self, rig: Rig) -> SketchTask:  # noqa: D102
-        edges_m = self.data.spec.range_edges_m
-        mixture, seed = self.parts.range_mixture(), self.recipe.seed
-        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, self.parts.config, mixture, seed)
+        edges_m, config = self.data.spec.range_edges_m, self.parts.config
+        mixture, loss = self.parts.range_mixture(), self.parts.loss()
+        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, config, mixture, self.recipe.seed, loss)
 
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
         mixed = cast(SketchTask, task).mixture is not None
-        return test._replace(images=False, panorama=mixed), test
+        return test._replace(images=False, panorama=mixed, **self.ray_needs(self.parts.loss())), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
@@ -282,6 +282,7 @@ class OccupancyStage(Stage):
         loss, sketch = cast(OccupancyTask, task).loss, self.sketch
         test = Needs(pixel_labels=False, candidates=sketch and sketch.candidates, evidence=sketch and sketch.evidence)
         learned: dict[str, Any] = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
+        learned |= self.ray_needs(loss)
         if sketch is not None and cast(OccupancyTask, task).mixture is not None:
             learned |= {"panorama": True, "depth": sketch.depth.ranges}
         return test._replace(scores=False, **learned), test
@@ -291,7 +292,7 @@ class OccupancyStage(Stage):
         assert isinstance(task, OccupancyTask)
         if self.sketch is not None:
             task.model.sketch.load_state_dict(self.sketch.weights())  # type: ignore[union-attr]
-        task.set_training_statistics(data.voxel_counts())
+        task.set_training_statistics(data.voxel_counts(task.loss))
         if self.recipe.weights is None or checkpoint is not None:
             return None
         return load_fitting(task.model, self.recipe.weights, task.config)

@@ -72,6 +72,9 @@ def batch(grid):
         lidar_labels=torch.randint(0, 12, (size, 50), dtype=torch.uint8),
         lidar_directions=torch.nn.functional.normalize(torch.randn(size, 50, 3), dim=-1),
         lidar_origins=torch.randn(size, 50, 3),
+        scan_origins=torch.randn(size, 40, 3),
+        scan_ends=10 * torch.randn(size, 40, 3),
+        scan_labels=torch.randint(0, 12, (size, 40), dtype=torch.uint8),
         frame_ids=("a/000007", "b/000003", "c/000002"),
         erp_range_m=torch.rand(size, 6, 24) * 30,
         camera_range_m=torch.rand(size, 6, HEIGHT, WIDTH) * 30,
@@ -86,7 +89,7 @@ def same(batch, other):
     for name, mine, theirs in zip(Batch._fields, batch, other, strict=True):
         if isinstance(mine, torch.Tensor):
             assert mine.dtype == theirs.dtype, name
-            torch.testing.assert_close(mine, theirs, rtol=0, atol=2e-6 if name.startswith("lidar") else 0.0)
+            torch.testing.assert_close(mine, theirs, rtol=0, atol=4e-6 if name.startswith(("lidar", "scan")) else 0.0)
         else:
             assert mine == theirs, name
 
@@ -133,6 +136,9 @@ def test_rays_of_lidar_and_panorama_keep_what_they_hit(grid, batch, name):
         part.lidar_origins + part.lidar_directions * part.lidar_range_m[..., None] for part in (batch, changed)
     )
     torch.testing.assert_close(new_spots.double(), spots.double() @ new_from_old(change).T, rtol=0, atol=2e-5)
+    for old, new in ((batch.scan_origins, changed.scan_origins), (batch.scan_ends, changed.scan_ends)):
+        torch.testing.assert_close(new.double(), old.double() @ new_from_old(change).T, rtol=0, atol=2e-5)
+    assert torch.equal(changed.scan_labels, batch.scan_labels)
     assert torch.equal(changed.lidar_labels, batch.lidar_labels)
     azimuth = math.pi - (torch.arange(24, dtype=torch.float64) + 0.5) * 2 * math.pi / 24
     ahead = torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros(24)], dim=-1)

@@ -84,6 +84,10 @@ def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):
     assert 0.05 < np.isfinite(panorama).mean() < 0.5
     assert scene.pixel_labels(0) is None
     assert scene.lidar(0) is None
+    scan = scene.scan(0)
+    assert set(scan.labels) == {UNKNOWN}
+    np.testing.assert_allclose(scan.origins + scan.range_m[:, None] * scan.directions, cloud.points_m, atol=1e-4)
+    assert (scan.origins == np.float32(cloud.origin_m)).all()
 
 
 def test_lidarseg_gives_classes_of_pixels_and_rays(root):

@@ -7,7 +7,18 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from log_files import CLASSES, NPZ, START_NS, first_image, lidar_option, record, rewrite, rig_of, stamp_ns
+from log_files import (
+    CLASSES,
+    EGO_FROM_LIDAR,
+    NPZ,
+    START_NS,
+    first_image,
+    lidar_option,
+    record,
+    rewrite,
+    rig_of,
+    stamp_ns,
+)
 from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
@@ -52,6 +63,10 @@ def test_an_imported_scene_is_the_exported_one(recorder, original, tmp_path, kin
             assert np.abs(ours.astype(int) - theirs).mean() < 2  # JPEG twice
     assert spec_of(scene).classes == WORLD_CLASSES
     assert scene.pixel_labels(0) is scene.lidar(0) is None
+    scan, points_m = scene.scan(0), scene.points(0).points_m
+    np.testing.assert_array_equal(scan.origins, np.broadcast_to(EGO_FROM_LIDAR[:3, 3], points_m.shape))
+    np.testing.assert_allclose(scan.origins + scan.range_m[:, None] * scan.directions, points_m, atol=1e-4)
+    assert scan.moving is None, "a log has no boxes"
     facts = scene.meta["facts"]
     assert (facts["moving"], facts["missing"], facts["start_s"]) == (None, [], START_NS / 1e9)
 
@@ -113,12 +128,21 @@ def test_scans_beside_sparse_poses_lose_no_frame():
     """Frames on the stamps of poses that are farther apart than `pose_gap_s`, scans a little later."""
     at_s = 2.0 * np.arange(3)
     poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
-    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES)
+    scans = Scans(at_s + 0.005, lambda number: None, str, OCCUPANCY_CLASSES, np.zeros(3))
     rig = Rig.load("fisheye6")
     log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans=scans, facts={})
     plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
     assert len(plan.times_s) == 3
     np.testing.assert_allclose(plan.ego_from_scan[:, 0, 3], 0.025, atol=1e-9)  # at 5 m/s, beyond the last pose too
+
+
+def test_an_older_recording_does_not_tell_where_its_rays_start(recorder, tmp_path):
+    scene = record(recorder, tmp_path, lidar_option("npz"))
+    for position_m in (None, "ahead", [0, 0], [0, 0, float("nan")]):
+        scene.meta["facts"]["lidar_position_m"] = position_m
+        with pytest.raises(DataError, match=r"it does not state where the LiDAR was; remove the scene") as caught:
+            scene.scan(0)
+        assert str(scene.folder) in str(caught.value)
 
 
 def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):
@@ -203,6 +227,8 @@ def test_rigs_at_other_heights_get_one_origin_above_the_road(recorder, original,
     scene = record(recorder, tmp_path / "raised", *options, "origin_above_road_m=1.3")
     assert scene.rig.road_z_m == spec_of(scene).road_z_m == -1.3
     assert scene.rig == replace(before.rig.raised(raised_m), road_z_m=-1.3)
+    position_m = EGO_FROM_LIDAR[:3, 3] - [0, 0, raised_m]
+    np.testing.assert_allclose(scene.scan(0).origins[0], position_m, atol=1e-6)
     expected = before.world_from_ego @ shift(0.0, 0.0, raised_m)
     np.testing.assert_allclose(scene.world_from_ego, expected, atol=1e-9)
     for frame in range(len(scene)):

@@ -9,11 +9,11 @@ from log_files import lidar_option
 from made_scenes import write_checkpoint
 
 from omniocc.config import build, check_root, plain
-from omniocc.data import DataError, SceneReader
+from omniocc.data import DataError, Needs, SceneReader
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.train.build import without_unused_head
+from omniocc.train.build import build_task, without_unused_head
 from omniocc.train.depth import DepthTask
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
@@ -56,6 +56,30 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     loss.backward()
     assert torch.isfinite(loss)
     assert any(float(part.grad.abs().sum()) > 0 for part in model.parameters() if part.grad is not None)
+
+
+def test_the_geometry_alone_learns_from_rays_without_classes(recorder, smoke, tmp_path):
+    recorder(lidar_option("npz")).record(tmp_path)
+    _, data = data_of(smoke, tmp_path, classes=2)
+    data.prepare_data()
+    cfg = smoke("loss=lidar_rays", "loss.rays.frames=[0,-1,1]", "model/sketch=dense", "model.num_classes=2")
+    task = build_task(Parts(cfg).without_head(), data.spec)
+    data.set_needs(Needs(voxels=False, scores=False, rays=task.loss.rays), Needs())
+    data.setup()
+    counts = data.voxel_counts(task.loss)
+    assert counts.flatten(1).sum(1).min() > 0
+    task.set_training_statistics(counts)
+    batch = next(iter(data.train_dataloader()))
+    assert batch.voxels is None
+    assert set(batch.scan_labels.unique().tolist()) <= {1, 255}
+    optimizer, values = torch.optim.Adam(task.model.parameters(), 0.01), []
+    for _ in range(15):
+        optimizer.zero_grad()
+        loss = task.training_step(batch, 0)
+        loss.backward()
+        optimizer.step()
+        values.append(loss.item())
+    assert values[-1] < 0.9 * values[0]
 
 
 def test_training_without_points_ends_in_one_line(recorder, smoke, tmp_path):

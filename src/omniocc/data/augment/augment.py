@@ -23,7 +23,7 @@ from omniocc.geometry import Grid
 IMAGES = ("images", "pixel_labels", "camera_range_m")
 CELLS = ("voxels", "candidates", "evidence")
 PANORAMAS = ("erp_range_m", "depth_range_m")
-VECTORS = ("lidar_directions", "lidar_origins")
+VECTORS = ("lidar_directions", "lidar_origins", "scan_origins", "scan_ends")
 
 
 class Change(NamedTuple):

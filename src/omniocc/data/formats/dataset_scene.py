@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import UNKNOWN
 from omniocc.data.formats.projected import Projected, onto_cameras, onto_panorama
 from omniocc.data.source import LidarScan, Points
 from omniocc.errors import FAULTS, DataError, reason_of
@@ -84,12 +85,12 @@ class DatasetScene:
     def lidar(self, frame: int) -> LidarScan | None:
         """Return the ray of the LiDAR to each of its points, also of unknown class; None without classes."""
         cloud = self.cloud(frame)
-        if cloud is None or cloud.labels is None:
-            return None
-        ways = cloud.points_m - cloud.origin_m
-        range_m = np.linalg.norm(ways, axis=1).astype(np.float32)
-        origins = np.broadcast_to(cloud.origin_m, ways.shape).astype(np.float32)
-        return LidarScan(range_m, cloud.labels, (ways / range_m[:, None]).astype(np.float32), origins)
+        return None if cloud is None or cloud.labels is None else scan_of_points(cloud)
+
+    def scan(self, frame: int) -> LidarScan | None:
+        """Return the ray of the LiDAR to each of its points, all of unknown class if they have none."""
+        cloud = self.cloud(frame)
+        return None if cloud is None else scan_of_points(cloud)
 
     def points(self, frame: int) -> Points | None:
         """Return the points that vote for voxels: None, since the labels come with the dataset."""
@@ -99,6 +100,15 @@ class DatasetScene:
     def _around(self, frame: int) -> Projected | None:
         cloud = self.cloud(frame)
         return cloud and onto_panorama(cloud.points_m, None, self.panorama)
+
+
+def scan_of_points(cloud: Cloud) -> LidarScan:
+    """Return the ray of a LiDAR to each of its points, of unknown class if they have none."""
+    labels = np.full(len(cloud.points_m), UNKNOWN, np.uint8) if cloud.labels is None else cloud.labels
+    ways = cloud.points_m - cloud.origin_m
+    range_m = np.linalg.norm(ways, axis=1).astype(np.float32)
+    origins = np.broadcast_to(cloud.origin_m, ways.shape).astype(np.float32)
+    return LidarScan(range_m, labels, (ways / range_m[:, None]).astype(np.float32), origins)
 
 
 def outside(points_m: np.ndarray, low_m: Sequence[float], high_m: Sequence[float]) -> np.ndarray:

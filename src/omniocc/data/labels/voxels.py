@@ -235,7 +235,7 @@ def _camera_paths(geometry: Grid, rig: Rig, camera: int) -> tuple[RayPaths, Bool
     rays, valid = rig.rays(camera)
     rays = torch.where(valid.unsqueeze(-1), rays, rays.new_tensor([0.0, 0.0, 1.0]))[_PIXELS].reshape(-1, 3)
     pose = torch.as_tensor(rig.ego_from_camera)[camera]
-    return _ray_paths(geometry, pose[:3, 3].to(rays).expand_as(rays), rays), valid[_PIXELS].flatten()
+    return ray_paths(geometry, pose[:3, 3].to(rays).expand_as(rays), rays), valid[_PIXELS].flatten()
 
 
 _last_lidar: dict[tuple[Grid, bytes], RayPaths] = {}
@@ -248,10 +248,11 @@ def _lidar_paths(geometry: Grid, scan: LidarScan) -> RayPaths:
     key = geometry, directions.numpy().tobytes() + origins.numpy().tobytes()
     if key not in _last_lidar:
         _last_lidar.clear()
-        _last_lidar[key] = _ray_paths(geometry, origins, directions)
+        _last_lidar[key] = ray_paths(geometry, origins, directions)
     return _last_lidar[key]
 
 
-def _ray_paths(geometry: Grid, origins: Float32[Tensor, "R 3"], directions: Float32[Tensor, "R 3"]) -> RayPaths:
+def ray_paths(geometry: Grid, origins: Float32[Tensor, "R 3"], directions: Float32[Tensor, "R 3"]) -> RayPaths:
+    """Return the cells along rays from origins, m; directions may have any length above 0."""
     paths = geometry.paths(origins, directions)
     return RayPaths(torch.where(paths.cells < 0, geometry.num_cells, paths.cells), paths.exit_m.contiguous())

@@ -178,7 +178,7 @@ class SceneFrames(Protocol):
         ...
 
     def lidar(self, frame: int) -> LidarScan | None:
-        """Return the hits of the LiDAR."""
+        """Return the hits of the LiDAR; None where they have no classes, which a further method `scan` may return."""
         ...
 
     def points(self, frame: int) -> Points | None:

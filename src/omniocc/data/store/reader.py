@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.protocol import is_finite
 from omniocc.classes import FREE, UNKNOWN
+from omniocc.data.formats.dataset_scene import Cloud, scan_of_points
 from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import (
     FACTS,
@@ -28,7 +30,7 @@ from omniocc.data.store.codec import (
 )
 from omniocc.data.store.files import LIMIT_BYTES, named
 from omniocc.data.store.folder import Index, SceneFolder
-from omniocc.data.store.shard import INDEX, digest, shard_name
+from omniocc.data.store.shard import INDEX, META, digest, shard_name
 from omniocc.errors import DataError
 from omniocc.frame import Box
 from rayiou.directions import sparseocc_directions
@@ -37,6 +39,8 @@ from rayiou.labels import ids_beyond
 T = TypeVar("T")
 FROM_LOG = "log"
 """Fact of scenes made of a real car's log, which has no boxes of actors."""
+LIDAR_POSITION = "lidar_position_m"
+"""Fact of scenes made of a log with a LiDAR: its position in the ego frame, m."""
 CONDITIONS = {"weather": "weather", "place": "theme"}
 """Facts by which the scenes of a test are told apart, by title."""
 RIG_LIMIT_BYTES = 2**22
@@ -192,6 +196,20 @@ class SceneReader(SceneFolder):
         known = FROM_LOG not in self.meta["facts"]
         moving = hits_of_moving(range_m, labels, directions, boxes) if known else None
         return LidarScan(range_m, labels, directions, moving=moving)
+
+    def scan(self, frame: int) -> LidarScan | None:
+        """Return `lidar`; of the log of a real car the rays to the points of its LiDAR.
+
+        Raises:
+            DataError: if the recording does not state where the LiDAR was.
+        """
+        points = self.points(frame) if FROM_LOG in self.meta["facts"] else None
+        if points is None:
+            return self.lidar(frame)
+        position_m = self.meta["facts"].get(LIDAR_POSITION)
+        if not isinstance(position_m, list) or len(position_m) != 3 or not all(map(is_finite, position_m)):
+            raise self.damaged(META, "it does not state where the LiDAR was; remove the scene and record it again")
+        return scan_of_points(Cloud(points.points_m, points.labels, np.array(position_m, np.float32)))
 
     @property
     def conditions(self) -> dict[str, str]:

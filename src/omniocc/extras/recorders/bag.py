@@ -186,7 +186,8 @@ class RosBag(LogRecorder):
             cloud = cloud_of(message, options["label_field"], where)
             return ego_points(cloud, ego_from_lidar, classes, options["own_car_m"], where)
 
-        scans = Scans(topic.times_s, read, lambda number: bag.where(topic.addresses[number]), classes.table)
+        name, position_m = (lambda number: bag.where(topic.addresses[number])), ego_from_lidar[:3, 3]
+        scans = Scans(topic.times_s, read, name, classes.table, position_m)
         return scans, plain_options({**options, "pose": ego_from_lidar}, classes)
 
 

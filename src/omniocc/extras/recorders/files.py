@@ -170,7 +170,8 @@ class LogFiles(LogRecorder):
             cloud = read_cloud(path, options["label_field"], options["columns"])
             return ego_points(cloud, options["ego_from_lidar"], classes, options["own_car_m"], str(path))
 
-        return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table), [
+        position_m = options["ego_from_lidar"][:3, 3]
+        return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table, position_m), [
             *plain_options(options, classes),
             listing(files, self.folder),
         ]

@@ -32,12 +32,14 @@ class Scans:
         read: returns the points of a scan by its number, ego frame.
         name: returns the file or message of a scan by its number, for messages.
         classes: of the points; free and occupied if they have none.
+        position_m: (3,) of the LiDAR in the ego frame, where its rays start.
     """
 
     times_s: Float64[np.ndarray, " S"]
     read: Callable[[int], Points]
     name: Callable[[int], str]
     classes: ClassTable
+    position_m: Float64[np.ndarray, " 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +78,19 @@ def at_height(log: Log, above_m: float, road_z_m: float) -> Log:
         road_z_m: height of the road in that frame, m.
     """
     height_m, scans = road_z_m + above_m, log.scans
+    lower_m = np.array([0, 0, height_m])
 
     def read(number: int) -> Points:
         assert scans is not None
         points = scans.read(number)
-        return points._replace(points_m=points.points_m - np.array([0, 0, height_m], np.float32))
+        return points._replace(points_m=points.points_m - lower_m.astype(np.float32))
 
     return replace(
         log,
         # exactly this height, since scenes of a folder have to agree
         rig=replace(replace(log.rig, road_z_m=None).raised(height_m), road_z_m=-above_m),
         world_from_ego=log.world_from_ego @ shift(0.0, 0.0, height_m),
-        scans=None if scans is None else replace(scans, read=read),
+        scans=None if scans is None else replace(scans, read=read, position_m=scans.position_m - lower_m),
     )
 
 

@@ -21,7 +21,7 @@ from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.source import SPLITS, Points, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.meta import append_frame, finish_scene, panorama_of, recorded_spec
-from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.reader import LIDAR_POSITION, SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.log import Log, Plan, Timing, at_height, check_timing, missing_lines, plan_frames
@@ -264,6 +264,7 @@ def _write_scene(
             append_frame(writer, frame)
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": options.moving}
+        facts |= {} if log.scans is None else {LIDAR_POSITION: log.scans.position_m.tolist()}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})

@@ -1,0 +1,100 @@
+"""Labels and counts of voxels that follow from the measured rays of frames and their neighbours."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from jaxtyping import Int64, UInt8
+from torch import Tensor
+
+from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
+from omniocc.data.labels.counts import all_frames
+from omniocc.data.labels.voxels import VoxelCache, ray_paths
+from omniocc.data.rays import rays_around
+from omniocc.data.source import SceneFrames
+from omniocc.data.spacing import evenly_spaced
+from omniocc.errors import DataError
+from omniocc.geometry import Grid
+from omniocc.loss import Rays, RayWindow
+from omniocc.loss.lidar_rays import occupied_cells, ray_queries
+from omniocc.progress import Progress
+
+RAY_VERSION = 1
+"""Raise it when the same scans would give other labels or counts."""
+QUERIES = 8
+"""Places before the end of a ray that are counted."""
+COUNTED = 1000
+"""Training frames at most whose rays are counted, evenly spaced."""
+
+
+class RayVotes(VoxelCache):
+    """Voxels of measured rays: what most hits in a cell are; free where rays only pass; unknown (255) elsewhere.
+
+    Args:
+        folder: as in `VoxelCache`, as all others but `window`.
+        window: which rays vote.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        geometry: Grid,
+        window: RayWindow,
+        fingerprint: str,
+        num_classes: int = NUM_CLASSES,
+        workers: int = 0,
+    ):
+        labelling = f"rays {RAY_VERSION} {sorted(window.frames)}"  # part of the folder's name
+        super().__init__(folder, geometry, "unobserved", fingerprint, num_classes, workers, [labelling])
+        self.window = window
+
+    def _vote(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
+        rays = rays_around(scene, frame, self.window)
+        if rays is None:
+            return torch.full(self.geometry.shape, UNKNOWN, dtype=torch.uint8)
+        return vote_rays(self.geometry, rays, self.num_classes)
+
+
+def vote_rays(grid: Grid, rays: Rays, num_classes: int) -> UInt8[Tensor, "X Y Z"]:
+    """Return the class of every cell by the rays of one sample, (1, R) without padding; 255 where no ray was."""
+    origins_m, ends_m, labels = (part[0] for part in rays)
+    hit, ways_m = labels != FREE, ends_m - origins_m
+    cells = grid.voxelize(ends_m[hit], labels[hit], num_classes)
+    limit_m = ways_m.norm(dim=-1).where(hit, torch.inf)
+    crossed = ray_paths(grid, origins_m, ways_m).crossings(limit_m, grid.num_cells).reshape(grid.shape) > 0
+    return torch.where((cells == FREE) & ~crossed, UNKNOWN, cells)
+
+
+def count_rays(
+    scenes: Sequence[SceneFrames], grid: Grid, window: RayWindow, num_classes: int
+) -> Int64[Tensor, "C X Y Z"]:
+    """Return how often rays find each cell free, or of each class, in at most `COUNTED` frames.
+
+    Hits and places before them have the same sum, since the loss (`omniocc.loss.LidarRays`) weighs them equally. Hits
+    of unknown class count for all occupied classes alike.
+
+    Raises:
+        DataError: if there are no rays, or no hit has a class, but classes are to be used; or naming a damaged frame.
+    """
+    hits = torch.zeros(num_classes + 1, grid.num_cells, dtype=torch.float64)  # free, the classes, unknown
+    middles, frames = (torch.arange(QUERIES) + 0.5) / QUERIES, all_frames(scenes)
+    frames = [frames[number] for number in evenly_spaced(len(frames), COUNTED)]
+    with Progress("frequencies of the classes on rays", len(frames)) as progress:
+        for scene, frame in frames:
+            rays = rays_around(scene, frame, window)
+            if rays is not None:
+                places = middles.expand(*rays.labels.shape, -1)
+                cells, labels, counted = ray_queries(grid, rays, places, occupied_cells(grid, rays))
+                row = labels[counted].long().clamp(max=num_classes)
+                place = row * grid.num_cells + cells[counted]
+                hits += place.bincount(minlength=hits.numel()).view_as(hits)
+            progress.advance()
+    free, known, unknown = hits[FREE], hits[FREE + 1 : num_classes], hits[num_classes]
+    if not hits.any():
+        raise DataError("the training frames have no LiDAR scan that crosses the grid; loss=paper learns from voxels")
+    if window.classes and not known.any():
+        raise DataError("no ray of the training frames hits a known class: loss.rays.classes=false uses none")
+    occupied = (num_classes - 1) * known + unknown
+    free = (num_classes - 1) * free
+    balanced = occupied * (free.sum() / occupied.sum().clamp(min=1))
+    return torch.cat([free[None], balanced]).round().long().view(num_classes, *grid.shape)
