@@ -5,6 +5,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig
 
+from omniocc.config import quoted
 from omniocc.predict.options import require
 from omniocc.predict.rig_file import show_rig, write_rig_file
 from omniocc.runs.script import quiet_libraries, script
@@ -36,8 +37,7 @@ def main() -> None:
         sys.exit(0 if asked else 2)
     command = sys.argv.pop(1)
     if command == "show" and len(sys.argv) > 1 and "=" not in sys.argv[1] and not sys.argv[1].startswith("-"):
-        quoted = sys.argv[1].replace("'", r"\'")
-        sys.argv[1] = f"rig='{quoted}'"
+        sys.argv[1] = f"rig={quoted(sys.argv[1])}"
     COMMANDS[command]()
 
 

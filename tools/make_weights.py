@@ -29,7 +29,7 @@ from omniocc.predict.trained import Trained
 from omniocc.report.card import card
 from omniocc.runs.checkpoint import MODEL, PREFIXES, Checkpoint, load_checkpoint, part_weights
 from omniocc.runs.checkpoint_io import BEST, LAST
-from omniocc.runs.folder import git_commit, run_hash
+from omniocc.runs.folder import git_commit, run_folder
 from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
 from omniocc.runs.script import quiet_libraries
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
@@ -73,10 +73,10 @@ def config_of(recipe: dict[str, Any]) -> DictConfig:
 def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:
     """Return the folder of a recipe's finished run or stage, and the name of its checkpoint."""
     cfg = config_of(recipe)
-    fingerprint = Parts(cfg).source().fingerprint
+    parts = Parts(cfg)
+    fingerprint = parts.source().fingerprint
     if recipe["stage"] == "occupancy":
-        config = OmegaConf.to_container(cfg, resolve=True)
-        return runs / f"{cfg.name}-{run_hash(config, fingerprint)}", BEST  # type: ignore[arg-type]
+        return run_folder(runs, parts.config, fingerprint), BEST
     keys = stage_keys(cfg, fingerprint)._asdict()
     return runs / "stages" / f"{recipe['stage']}-{keys[recipe['stage']]}", LAST
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from omniocc.config import compose_config
+from omniocc.config import compose_config, quoted
 from omniocc.data.dataset import read_images
 from omniocc.data.source import MadeScenes, SceneSource
 from omniocc.data.source.cameras import first_rig, frames_in, training_frames
@@ -23,7 +23,7 @@ from omniocc.predict.input.sequence import with_road
 from omniocc.predict.options import load_rig
 from omniocc.progress import clock
 from omniocc.runs.checkpoint_io import BEST
-from omniocc.runs.folder import run_hash, short_hash
+from omniocc.runs.folder import run_folder, short_hash
 from omniocc.runs.results import IMAGES, load_results
 from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
 from omniocc.runs.trust import CONF
@@ -143,8 +143,7 @@ def rig_overrides(rig: str) -> list[str]:
     first = own.cameras[0]
     scale = math.sqrt(PIXELS / (first.width * first.height))
     width, height = (2 * round(scale * side / 2) for side in (first.width, first.height))
-    quoted = rig.replace("'", r"\'")
-    return [f"data.source.rig='{quoted}'", f"data.source.image_size=[{width},{height}]"]
+    return [f"data.source.rig={quoted(rig)}", f"data.source.image_size=[{width},{height}]"]
 
 
 def check_road(source: SceneSource) -> None:
@@ -218,5 +217,5 @@ def trained(overrides: Sequence[str]) -> Path:
     print(f"command   python src/train.py {shlex.join(overrides)}", flush=True)
     cfg = compose_config(CONF, "train", overrides)
     train(cfg)
-    config = cast(dict, OmegaConf.to_container(cfg, resolve=True))
-    return Path(cfg.paths.runs) / f"{cfg.name}-{run_hash(config, Parts(cfg).source().fingerprint)}"
+    parts = Parts(cfg)
+    return run_folder(Path(cfg.paths.runs), parts.config, parts.source().fingerprint)

@@ -272,6 +272,12 @@ def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str
     return tree
 
 
+def quoted(text: str) -> str:
+    """Return a text as the value of an override, whatever characters it has."""
+    escaped = text.replace("'", r"\'")
+    return f"'{escaped}'"
+
+
 def compose_config(folder: Path, name: str, overrides: Sequence[str]) -> DictConfig:
     """Return the same tree as `compose_plain`, to build from; raise ConfigError when it cannot be composed."""
     return OmegaConf.create(compose_plain(folder, name, overrides))

@@ -85,6 +85,11 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     return short_hash([kept, data_fingerprint, *foreign_code(kept)])
 
 
+def run_folder(runs: Path, config: dict[str, Any], data_fingerprint: str) -> Path:
+    """Return the folder of the run of a resolved configuration; those of `resume=never` have a number behind it."""
+    return runs / f"{config['name']}-{run_hash(config, data_fingerprint)}"
+
+
 def without_machine(tree: Any) -> Any:
     """Return plain data without the keys `OF_MACHINES`."""
     if isinstance(tree, dict):
