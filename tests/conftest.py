@@ -12,6 +12,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
+from torch import Tensor, nn
 
 from omniocc.data import SourceSpec
 from omniocc.model import OccupancyModel
@@ -144,3 +145,20 @@ def make_task(smoke, spec) -> Callable[..., OccupancyTask]:
         return build_task(Parts(smoke(*overrides)), spec)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def losses() -> Callable[..., list[float]]:
+    """Train a network on one batch for 15 steps, and return the loss of every step."""
+
+    def train(network: nn.Module, loss_of: Callable[[], Tensor]) -> list[float]:
+        optimizer, values = torch.optim.Adam(network.parameters(), 0.01), []
+        for _ in range(15):
+            optimizer.zero_grad()
+            loss = loss_of()
+            loss.backward()
+            optimizer.step()
+            values.append(loss.item())
+        return values
+
+    return train

@@ -58,7 +58,7 @@ def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
     assert any(float(part.grad.abs().sum()) > 0 for part in model.parameters() if part.grad is not None)
 
 
-def test_the_geometry_alone_learns_from_rays_without_classes(recorder, smoke, tmp_path):
+def test_the_geometry_alone_learns_from_rays_without_classes(recorder, smoke, losses, tmp_path):
     recorder(lidar_option("npz")).record(tmp_path)
     _, data = data_of(smoke, tmp_path, classes=2)
     data.prepare_data()
@@ -72,13 +72,7 @@ def test_the_geometry_alone_learns_from_rays_without_classes(recorder, smoke, tm
     batch = next(iter(data.train_dataloader()))
     assert batch.voxels is None
     assert set(batch.scan_labels.unique().tolist()) <= {1, 255}
-    optimizer, values = torch.optim.Adam(task.model.parameters(), 0.01), []
-    for _ in range(15):
-        optimizer.zero_grad()
-        loss = task.training_step(batch, 0)
-        loss.backward()
-        optimizer.step()
-        values.append(loss.item())
+    values = losses(task.model, lambda: task.training_step(batch, 0))
     assert values[-1] < 0.9 * values[0]
 
 
