@@ -432,3 +432,23 @@ def test_images_are_what_the_sensor_saw(recorder, original, log_folder, tmp_path
         assert set(map(str, opened.inputs)) - set(map(str, plain)) >= {"recorder.image_bits=12"}
     with pytest.raises(ValueError, match=r"recorder\.image_bits is 7; it must be 8 to 16"):
         recorder("image_bits=7", log=log)
+
+
+def test_a_turn_of_the_lidar_is_corrected_unless_the_scans_are(recorder, original, log_folder, tmp_path, capsys):
+    """Points of the first scan have times after its stamp: each moves with the car from its time to the frame's."""
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    file = log / "npz" / f"{stamp_ns(original, 0)}.npz"
+    arrays = dict(np.load(file))
+    late_s = np.linspace(0.0, 0.1, len(arrays["points"]))
+    np.savez(file, t=(late_s * 1e9).astype(np.uint32), **arrays)
+    kept = SceneReader(recorder(lidar_option("npz", "deskew: false"), log=log).record(tmp_path / "kept")[0])
+    assert "within a turn" not in capsys.readouterr().err
+    turned = SceneReader(recorder(lidar_option("npz"), log=log).record(tmp_path / "turned")[0])
+    assert "the car's motion within a turn of the LiDAR is corrected" in capsys.readouterr().err
+    begin, end = original.world_from_ego[:2]
+    step_m = (np.linalg.inv(begin) @ end)[:3, 3] * 0.1 / (original.time_s[1] - original.time_s[0])
+    assert np.linalg.norm(step_m) > 0.1
+    moved_m, _ = cKDTree(kept.points(0).points_m).query(turned.points(0).points_m)
+    assert np.median(moved_m) > 0.01
+    assert not np.array_equal(kept.points(0).points_m, turned.points(0).points_m)
+    assert np.array_equal(kept.points(1).points_m, turned.points(1).points_m)  # its scan has no times

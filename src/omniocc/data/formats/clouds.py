@@ -16,6 +16,8 @@ from omniocc.io import read_bytes
 
 LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
 """Names that the field of class ids may have in a file; the first that is found is read."""
+TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "timestamps", "offset_time", "time_offset")
+"""Names that the field of the points' times has in the messages of LiDAR drivers; the first that is found is read."""
 LABEL_SUFFIX = ".label"
 TINIEST_M, FARTHEST_M = 1e-6, 1e4
 """Smallest and largest absolute value, other than 0, of a plausible coordinate."""
@@ -59,10 +61,12 @@ class RawCloud(NamedTuple):
     Attributes:
         points_m: in the frame of the LiDAR, m; rays that did not come back (`came_back`) are left out.
         labels: class id of each, as the file numbers classes; None without any.
+        times: of each, in the file's unit and type; None without any.
     """
 
     points_m: Float32[np.ndarray, "P 3"]
     labels: Int64[np.ndarray, " P"] | None
+    times: np.ndarray | None = None
 
 
 def came_back(points_m: Float[np.ndarray, "R 3"]) -> Bool[np.ndarray, " R"]:
@@ -125,7 +129,9 @@ def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> 
     with np.errstate(over="ignore"):  # numbers too large for float32 become inf and are left out
         points = np.stack([fields[axis] for axis in "xyz"], axis=1).astype(np.float32)
     kept = came_back(points)
-    return RawCloud(points[kept], _read_labels(path, fields, label_field, kept))
+    stamps = (fields[name] for name in TIME_FIELDS if name in fields)
+    times = next((field[kept] for field in stamps if field.shape == kept.shape and field.dtype.kind in "iuf"), None)
+    return RawCloud(points[kept], _read_labels(path, fields, label_field, kept), times)
 
 
 def _read_labels(

@@ -11,11 +11,10 @@ from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
-from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError, in_line, installing
-from omniocc.extras.recorders.files import ego_points, lidar_options, plain_options, stated_depth
+from omniocc.extras.recorders.files import ego_scan, lidar_options, plain_options, stated_depth
 from omniocc.extras.recorders.labels import read_point_classes
-from omniocc.extras.recorders.log import Log, ReadImage, Scans, Timing, chosen_rig
+from omniocc.extras.recorders.log import Log, ReadImage, Scan, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.messages import (
     FrameTree,
@@ -30,7 +29,7 @@ from omniocc.extras.recorders.messages import (
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
 from omniocc.images import Depth
 
-LIDAR_KEYS = {"topic": ..., "ego_from_lidar": None, "classes": None, "label_field": None, "own_car_m": None}
+LIDAR_KEYS = dict.fromkeys(("ego_from_lidar", "classes", "label_field", "own_car_m")) | {"topic": ..., "deskew": True}
 """Options of the LiDAR and their defaults; `...` is needed."""
 TF = "tf"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -181,10 +180,10 @@ class RosBag(LogRecorder):
         if ego_from_lidar is None:
             ego_from_lidar = self.ego_from_base @ tree.fixed(self.base_frame, topic.frame)
 
-        def read(number: int) -> Points:
+        def read(number: int) -> Scan:
             message, where = bag.message(topic.addresses[number])
             cloud = cloud_of(message, options["label_field"], where)
-            return ego_points(cloud, ego_from_lidar, classes, options["own_car_m"], where)
+            return ego_scan(cloud, topic.times_s[number], ego_from_lidar, classes, options, where)
 
         name, position_m = (lambda number: bag.where(topic.addresses[number])), ego_from_lidar[:3, 3]
         scans = Scans(topic.times_s, read, name, classes.table, position_m)

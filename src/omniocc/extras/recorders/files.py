@@ -19,9 +19,10 @@ from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.labels import PointClasses, classes_of, read_point_classes
-from omniocc.extras.recorders.log import Log, Scans, Timing, chosen_rig
+from omniocc.extras.recorders.log import Log, Scan, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.poses import PER_SECOND, PosesFormat, read_timed_poses, seconds, stated_pose
+from omniocc.extras.recorders.turns import seconds_of
 from omniocc.images import Depth, content_of
 
 LIDAR_KEYS = {
@@ -31,6 +32,7 @@ LIDAR_KEYS = {
     "label_field": None,
     "own_car_m": None,
     "columns": 4,
+    "deskew": True,
 }
 """Options of the LiDAR and their defaults; `...` is needed."""
 
@@ -165,10 +167,10 @@ class LogFiles(LogRecorder):
         files = self._stamped("lidar.folder", options["folder"], tuple(READERS), table)
         classes = read_point_classes(None if options["classes"] is None else self.folder / options["classes"])
 
-        def read(number: int) -> Points:
+        def read(number: int) -> Scan:
             path = files.paths[number]
             cloud = read_cloud(path, options["label_field"], options["columns"])
-            return ego_points(cloud, options["ego_from_lidar"], classes, options["own_car_m"], str(path))
+            return ego_scan(cloud, files.times_s[number], options["ego_from_lidar"], classes, options, str(path))
 
         position_m = options["ego_from_lidar"][:3, 3]
         return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table, position_m), [
@@ -194,14 +196,21 @@ def lidar_options(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[st
     return options
 
 
-def ego_points(
-    cloud: RawCloud, ego_from_lidar: Float64[np.ndarray, "4 4"], classes: PointClasses, own_car_m: Any, where: str
-) -> Points:
-    """Return the points of a scan in the ego frame with their classes, without those in the box of the own car."""
+def ego_scan(
+    cloud: RawCloud,
+    scan_s: float,
+    ego_from_lidar: Float64[np.ndarray, "4 4"],
+    classes: PointClasses,
+    options: Mapping[str, Any],
+    where: str,
+) -> Scan:
+    """Return the points of a scan in the ego frame with classes and times, without those in the box of the own car."""
     labels = classes_of(cloud.labels, len(cloud.points_m), classes, where)
     points_m = transform_points(ego_from_lidar, cloud.points_m).astype(np.float32)
-    kept = np.ones(len(points_m), bool) if own_car_m is None else outside(points_m, *own_car_m)
-    return Points(points_m[kept], labels[kept])
+    box_m = options["own_car_m"]
+    kept = np.ones(len(points_m), bool) if box_m is None else outside(points_m, *box_m)
+    times_s = seconds_of(cloud.times[kept], scan_s, where) if options["deskew"] and cloud.times is not None else None
+    return Scan(Points(points_m[kept], labels[kept]), times_s)
 
 
 def plain_options(options: Mapping[str, Any], classes: PointClasses) -> list[Any]:

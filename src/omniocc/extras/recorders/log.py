@@ -23,20 +23,32 @@ ReadImage = Callable[[int, int], tuple[UInt8[np.ndarray, "height width 3"], str]
 """Returns an image, RGB, by camera and number, and its name for messages."""
 
 
+class Scan(NamedTuple):
+    """What a LiDAR measured in one turn.
+
+    Attributes:
+        points: in the ego frame at the time of the scan, or, where they have times, each at its own.
+        times_s: (P,) of the points; None where they are of one time.
+    """
+
+    points: Points
+    times_s: Float64[np.ndarray, " P"] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Scans:
     """The scans of a LiDAR.
 
     Attributes:
         times_s: (S,) increasing.
-        read: returns the points of a scan by its number, ego frame.
+        read: returns a scan by its number.
         name: returns the file or message of a scan by its number, for messages.
         classes: of the points; free and occupied if they have none.
         position_m: (3,) of the LiDAR in the ego frame, where its rays start.
     """
 
     times_s: Float64[np.ndarray, " S"]
-    read: Callable[[int], Points]
+    read: Callable[[int], Scan]
     name: Callable[[int], str]
     classes: ClassTable
     position_m: Float64[np.ndarray, " 3"]
@@ -80,10 +92,10 @@ def at_height(log: Log, above_m: float, road_z_m: float) -> Log:
     height_m, scans = road_z_m + above_m, log.scans
     lower_m = np.array([0, 0, height_m])
 
-    def read(number: int) -> Points:
+    def read(number: int) -> Scan:
         assert scans is not None
-        points = scans.read(number)
-        return points._replace(points_m=points.points_m - lower_m.astype(np.float32))
+        points, times_s = scans.read(number)
+        return Scan(points._replace(points_m=points.points_m - lower_m.astype(np.float32)), times_s)
 
     return replace(
         log,

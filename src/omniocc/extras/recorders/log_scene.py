@@ -25,6 +25,7 @@ from omniocc.data.store.reader import LIDAR_POSITION, SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
 from omniocc.extras.recorders.log import Log, Plan, Timing, at_height, check_timing, missing_lines, plan_frames
+from omniocc.extras.recorders.turns import at_one_time
 from omniocc.io import checked_name
 from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
@@ -109,7 +110,7 @@ def record_log(log: Log, folder: Path, timing: Timing, options: SceneOptions) ->
         return folder
     with Progress(f"recording {folder}", len(plan.times_s)) as progress:
         lens_lines = lenses_that_do_not_fit(rig)
-        plan_messages = *plan_lines(plan, log.place), *missing_lines(plan)
+        plan_messages = *plan_lines(plan, log.place), *missing_lines(plan), *turn_lines(log, plan)
         for line in (*name_lines(folder.name), *plan_messages, *lens_lines, *origin_lines(rig)):
             progress.message(line)
         assert rig.road_z_m is not None
@@ -175,6 +176,13 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
             "right (time_unit, poses_time_unit)?"
         )
     return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, one each {step_s:.3g} s"]
+
+
+def turn_lines(log: Log, plan: Plan) -> list[str]:
+    """Return a line if the points have times, so that the motion of the car within a turn is corrected; else none."""
+    if plan.scans is None or log.scans is None or log.scans.read(int(plan.scans[0])).times_s is None:
+        return []
+    return ["the points have times: the car's motion within a turn of the LiDAR is corrected (lidar.deskew)"]
 
 
 def check_points(log: Log, plan: Plan, reach_m: float) -> None:
@@ -297,11 +305,15 @@ def read_points(log: Log, plan: Plan, number: int) -> Points | None:
     """Return the points of a frame's scan in its ego frame; None without a LiDAR, DataError for a damaged scan."""
     if log.scans is None or plan.scans is None:
         return None
-    points = log.scans.read(int(plan.scans[number]))
-    if plan.ego_from_scan is None:
+    points, times_s = log.scans.read(int(plan.scans[number]))
+    if times_s is not None:
+        there = log.pose_times_s, log.world_from_ego
+        points_m = at_one_time(points.points_m, times_s, *there, plan.world_from_ego[number])
+    elif plan.ego_from_scan is not None:  # the car moves between the time of the frame and the time of the scan
+        points_m = transform_points(plan.ego_from_scan[number], points.points_m).astype(np.float32)
+    else:
         return points
-    # the car moves between the time of the frame and the time of the scan
-    return points._replace(points_m=transform_points(plan.ego_from_scan[number], points.points_m).astype(np.float32))
+    return points._replace(points_m=points_m)
 
 
 def scale_image(

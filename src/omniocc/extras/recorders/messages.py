@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
-from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud, came_back
+from omniocc.data.formats.clouds import LABEL_FIELDS, TIME_FIELDS, RawCloud, came_back
 from omniocc.data.formats.files import named_once, rgb_of_camera, whole_numbers
 from omniocc.data.formats.poses import inverse, quaternion_pose
 from omniocc.errors import DataError, UserError, in_line
@@ -130,7 +130,7 @@ def camera_of(message: Any, where: str) -> Camera:
 
 
 def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
-    """Return the points of a PointCloud2, in the frame of its sender, and the class ids in a field of it.
+    """Return the points of a PointCloud2, in the frame of its sender, and the class ids and times in fields of it.
 
     Raises:
         DataError: if a field is missing, stands twice or is none of whole numbers, or the message is cut short.
@@ -139,7 +139,8 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     named_once([field.name for field in message.fields if field.name.strip("_")], f"{where}: the field")
     fields = {field.name: field for field in message.fields if field.count <= 1 and field.datatype in POINT_TYPES}
     labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
-    wanted = ("x", "y", "z", *labels)
+    times = tuple(name for name in TIME_FIELDS if name in fields)[:1]
+    wanted = dict.fromkeys(("x", "y", "z", *labels, *times))
     if missing := [name for name in wanted if name not in fields]:
         raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {in_line(', '.join(fields))}")
     sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
@@ -168,7 +169,7 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float32)
     kept = came_back(points)
     ids = [whole_numbers(table[name][kept], f"{where}: its field '{name}'") for name in labels]
-    return RawCloud(points[kept], ids[0] if ids else None)
+    return RawCloud(points[kept], ids[0] if ids else None, table[times[0]][kept] if times else None)
 
 
 def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:
