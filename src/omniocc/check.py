@@ -1,13 +1,27 @@
 """Read a dataset back and list all that is wrong with it: the work of `src/check.py`."""
 
+import itertools
 from pathlib import Path
+
+import torch
 
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import check_source, frames_of, has_labels
+from omniocc.data.labels.counts import all_frames
+from omniocc.data.labels.ray_votes import rays_seen
+from omniocc.data.rays import rays_around
 from omniocc.data.source import SPLITS
+from omniocc.data.spacing import evenly_spaced
 from omniocc.draw import save_png
 from omniocc.draw.voxel_sheet import data_sheet
 from omniocc.errors import FAULTS, DataError, reason_of
+from omniocc.loss import RayWindow
+
+SEEN = (1, 3, 10)
+"""Numbers of rays at which the bands of `seen_line` begin."""
+WINDOWS = RayWindow((0,), False), RayWindow((-2, -1, 0, 1, 2), False)
+MOST_FRAMES = 4
+"""Frames whose rays are counted, evenly spaced."""
 
 
 def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None) -> int:
@@ -33,7 +47,27 @@ def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None
     for problem in check_source(data.source, data.geometry, frames, workers):
         problems += 1
         print(problem, flush=True)
+    if not problems:  # else its frames cannot be read
+        for line in filter(None, (seen_line(data, window) for window in WINDOWS)):
+            print(line, flush=True)
     return problems
+
+
+def seen_line(data: OccupancyData, window: RayWindow) -> str | None:
+    """Return a line on how many LiDAR rays see the cells of the model's grid, over some training frames; None without.
+
+    Cells that no ray crosses or hits are unknown to `data.ignore=unobserved` and to `loss=lidar_rays`.
+    """
+    frames = all_frames(data.source.scenes("train"))
+    found = [rays_around(*frames[number], window) for number in evenly_spaced(len(frames), MOST_FRAMES)]
+    counts = [rays_seen(data.geometry, rays) for rays in found if rays is not None]
+    if not counts:
+        return None
+    band = torch.bucketize(torch.stack(counts), torch.tensor(SEEN), right=True).flatten()
+    parts = (band.bincount(minlength=len(SEEN) + 1) / len(band)).tolist()
+    words = "no ray", *(f"{low} to {high - 1}" for low, high in itertools.pairwise(SEEN)), f"{SEEN[-1]} or more"
+    shares = ", ".join(f"{100 * part:.0f} % by {word}" for part, word in zip(parts, words, strict=True))
+    return f"seen      of the cells, with the rays of frames {list(window.frames)}: {shares} ({len(counts)} frames)"
 
 
 def draw(data: OccupancyData, folder: Path) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.data.labels.ray_votes import RayVotes, count_rays, vote_rays
+from omniocc.data.labels.ray_votes import RayVotes, count_rays, rays_seen, vote_rays
 from omniocc.data.source import LidarScan
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
@@ -40,6 +40,10 @@ class Scene:
 
 def test_hits_vote_and_cells_that_rays_leave_are_free():
     assert vote_rays(LINE, rays(), 4).flatten().tolist() == [0, 0, 0, 255, 0, 2, 255, 255]
+
+
+def test_rays_that_cross_a_cell_or_end_in_it_are_counted():
+    assert rays_seen(LINE, rays()).flatten().tolist() == [3, 3, 3, 4, 3, 3, 0, 0]
 
 
 def test_a_ray_without_a_hit_frees_its_whole_way():

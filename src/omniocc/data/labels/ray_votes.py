@@ -57,12 +57,24 @@ class RayVotes(VoxelCache):
 
 def vote_rays(grid: Grid, rays: Rays, num_classes: int) -> UInt8[Tensor, "X Y Z"]:
     """Return the class of every cell by the rays of one sample, (1, R) without padding; 255 where no ray was."""
-    origins_m, ends_m, labels = (part[0] for part in rays)
-    hit, ways_m = labels != FREE, ends_m - origins_m
+    _, ends_m, labels = (part[0] for part in rays)
+    hit = labels != FREE
     cells = grid.voxelize(ends_m[hit], labels[hit], num_classes)
-    limit_m = ways_m.norm(dim=-1).where(hit, torch.inf)
-    crossed = ray_paths(grid, origins_m, ways_m).crossings(limit_m, grid.num_cells).reshape(grid.shape) > 0
-    return torch.where((cells == FREE) & ~crossed, UNKNOWN, cells)
+    return torch.where((cells == FREE) & (crossings(grid, rays) == 0), UNKNOWN, cells)
+
+
+def crossings(grid: Grid, rays: Rays) -> Int64[Tensor, "X Y Z"]:
+    """Return how many rays of one sample, (1, R) without padding, leave each cell before they end."""
+    origins_m, ends_m, labels = (part[0] for part in rays)
+    ways_m = ends_m - origins_m
+    limit_m = ways_m.norm(dim=-1).where(labels != FREE, torch.inf)
+    return ray_paths(grid, origins_m, ways_m).crossings(limit_m, grid.num_cells).reshape(grid.shape)
+
+
+def rays_seen(grid: Grid, rays: Rays) -> Int64[Tensor, "X Y Z"]:
+    """Return how many rays of one sample, (1, R) without padding, cross each cell or end in it."""
+    cells, inside = grid.flat_index(rays.ends_m[rays.labels != FREE])
+    return crossings(grid, rays) + cells[inside].bincount(minlength=grid.num_cells).reshape(grid.shape)
 
 
 def count_rays(
