@@ -22,7 +22,7 @@ from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
 from rayiou.directions import sparseocc_directions
 from rayiou.protocol import RaysSeen, dropped_text, error_text, free_text, mean_text, rays_text
-from rayiou.ray_counts import TIMES, RayCounts, count_rays, ray_scores
+from rayiou.ray_counts import TIMES, RayCounts, count_rays, occupied_score, ray_scores
 from rayiou.raycast.fans import RayScan
 from rayiou.raycast.table import RayTable, ray_table
 from rayiou.raycast.trace import Hits
@@ -117,7 +117,8 @@ class RayCounter:
         """Return the counts of no frames."""
         rows = num_rows(self.range_edges_m) * (len(TIMES) if self.split_origins else 1)
         zeros = torch.zeros(rows, self.classes.num_classes, dtype=torch.int64)
-        return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.all_thresholds_m), 1))
+        correct = zeros.unsqueeze(1).repeat(1, len(self.all_thresholds_m), 1)
+        return RayCounts(zeros, zeros.clone(), correct, correct[..., 0].clone())
 
     def count(
         self,
@@ -158,9 +159,12 @@ class RayCounter:
     def scores(self, counts: RayCounts) -> dict[str, Tensor]:
         """Return the scores of counts: see `rayiou.ray_counts.ray_scores` for the keys.
 
-        The scores at the fine thresholds, if there are any, are `fine/rayiou` and `fine/rayiou@<threshold>`.
+        The scores at the fine thresholds, if there are any, are `fine/rayiou` and `fine/rayiou@<threshold>`;
+        `occupied/rayiou` is the score without classes.
         """
         scores = self._scores_at(counts, self.thresholds_m)
+        whole = self.counts_at(counts, self.thresholds_m)
+        scores["occupied/rayiou"] = occupied_score(whole, self.classes.occupied)
         fine = self._scores_at(counts, self.fine_thresholds_m) if self.fine_thresholds_m else {}
         keys = ("rayiou", *(f"rayiou@{threshold_m:g}" for threshold_m in self.fine_thresholds_m))
         return scores | {f"fine/{key}": fine[key] for key in keys if fine}
@@ -168,7 +172,7 @@ class RayCounter:
     def counts_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> RayCounts:
         """Return the counts at these thresholds alone, in their order."""
         places = [self.all_thresholds_m.index(threshold_m) for threshold_m in thresholds_m]
-        return counts._replace(correct=counts.correct[:, places])
+        return counts._replace(correct=counts.correct[:, places], struck=counts.struck[:, places])
 
     def _scores_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> dict[str, Tensor]:
         counts = self.counts_at(counts, thresholds_m)
@@ -354,6 +358,7 @@ class RayCounter:
             error_m,
             valid,
             num_classes,
+            self.classes.free,
             thresholds_m=self.all_thresholds_m,
             range_edges_m=edges_m,
             times=times,

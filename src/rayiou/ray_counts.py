@@ -23,11 +23,13 @@ class RayCounts(NamedTuple):
         truth: rays whose true class is c.
         predicted: rays whose predicted class is c.
         correct: rays of class c in both, with an error below the threshold.
+        struck: rays that hit something in both, of whatever classes, with an error below the threshold.
     """
 
     truth: Int64[Tensor, "rows classes"]
     predicted: Int64[Tensor, "rows classes"]
     correct: Int64[Tensor, "rows thresholds classes"]
+    struck: Int64[Tensor, "rows thresholds"]
 
 
 def count_rays(
@@ -37,6 +39,7 @@ def count_rays(
     error_m: Float[Tensor, " R"],
     valid: Bool[Tensor, " R"],
     num_classes: int,
+    free_index: int,
     thresholds_m: Sequence[float],
     range_edges_m: Sequence[float],
     times: Int64[Tensor, " R"] | None = None,
@@ -58,8 +61,12 @@ def count_rays(
         return torch.bincount(keys, minlength=rows * num_classes).reshape(rows, num_classes)
 
     same = true_labels == predicted_labels
-    correct = [table((first + true_labels)[same & (error_m < threshold_m)]) for threshold_m in thresholds_m]
-    return RayCounts(table(first + true_labels), table(first + predicted_labels), torch.stack(correct, dim=1))
+    both = (true_labels != free_index) & (predicted_labels != free_index)
+    near = [error_m < threshold_m for threshold_m in thresholds_m]
+    correct = [table((first + true_labels)[same & close]) for close in near]
+    struck = [torch.bincount(row[both & close], minlength=rows) for close in near]
+    truth, predicted = table(first + true_labels), table(first + predicted_labels)
+    return RayCounts(truth, predicted, torch.stack(correct, dim=1), torch.stack(struck, dim=1))
 
 
 def ray_scores(
@@ -88,6 +95,13 @@ def ray_scores(
     if len(times) == len(TIMES):
         scores |= {f"rayiou_{name}": row[:, ids].nanmean() for name, row in zip(TIMES, times, strict=True)}
     return {key: value.float() for key, value in scores.items()}
+
+
+def occupied_score(counts: RayCounts, occupied: Mapping[int, str]) -> Float[Tensor, ""]:
+    """Return RayIoU without classes: all but free are one class. Nan if nothing is hit, in the truth or predicted."""
+    truth, predicted = (part.sum(0)[list(occupied)].sum() for part in counts[:2])
+    struck = counts.struck.sum(0).double()
+    return (struck / (truth + predicted - struck)).nanmean().float()
 
 
 def _iou(counts: RayCounts) -> Float[Tensor, "rows thresholds classes"]:

@@ -79,6 +79,7 @@ class RayIoU(CountMetric):
     truth: Tensor
     predicted: Tensor
     correct: Tensor
+    struck: Tensor
     inputs: Tensor
     measured: Tensor
 
@@ -148,6 +149,7 @@ class RayIoU(CountMetric):
         self.truth = self.truth + counts.truth
         self.predicted = self.predicted + counts.predicted
         self.correct = self.correct + counts.correct
+        self.struck = self.struck + counts.struck
         measured, number = isinstance(target, RayTruth), 0 if origins is None else origins.shape[1]
         if measured:
             self.measured = self.measured + _measured(target, self.counter.classes.ignored, counts)
@@ -181,8 +183,8 @@ class RayIoU(CountMetric):
         self.update(preds, RayTruth(range_m, labels), origins)
 
     def compute(self) -> dict[str, Tensor]:
-        """Return the scores over all frames: see `rayiou.ray_counts.ray_scores` for the keys."""
-        return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct))
+        """Return the scores over all frames: those of `RayCounter.scores`."""
+        return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct, self.struck))
 
     @property
     def seen(self) -> RaysSeen:
@@ -217,7 +219,7 @@ class RayIoU(CountMetric):
         edges_m, found = self.counter.range_edges_m, {}
         band = torch.arange(len(self.truth), device=self.truth.device) % num_rows(edges_m)  # apart by origin or not
         for bands, end_m in enumerate(edges_m[1:], start=1):
-            parts = (self.truth, self.predicted, self.correct)
+            parts = (self.truth, self.predicted, self.correct, self.struck)
             near = RayCounts(*(part * (band < bands).view(-1, *[1] * (part.ndim - 1)) for part in parts))
             found[f"rayiou_within_{end_m:g}m"] = self.counter.scores(near)["rayiou"]
         return found

@@ -70,7 +70,7 @@ def test_counting_agrees_with_the_public_definition(grid):
     for low_m, high_m in itertools.pairwise(edges_m):
         part = public_counting(grid, prediction, target, origins, directions, (0.5, 1, 3), low_m=low_m, high_m=high_m)
         assert scores[f"rayiou_{low_m:g}-{high_m:g}m"].item() == pytest.approx(np.nanmean(part), abs=1e-6)
-    assert len(scores) == 1 + 3 + 11 + 2
+    assert len(scores) == 1 + 3 + 11 + 2 + 1
 
 
 @pytest.mark.parametrize("grid", [CYLINDER, CUBOID])
@@ -168,6 +168,16 @@ def test_range_bands_add_up_to_the_whole():
         assert torch.equal(getattr(whole, name)[0], getattr(binned, name).sum(0))
         assert (getattr(binned, name).flatten(1).sum(1) > 0).all()
     assert torch.equal(whole.compute()["rayiou"], binned.compute()["rayiou"])
+
+
+@pytest.mark.parametrize("free_rays", [False, True])
+def test_the_score_without_classes_is_that_of_one_class(free_rays):
+    prediction, target = frames(CYLINDER, 2)
+    found = ray_iou(prediction, target, CYLINDER, count_free_rays=free_rays)
+    merged = prediction.clamp(max=1), torch.where(target == 255, 255, target.clamp(max=1))
+    alone = ray_iou(*merged, CYLINDER, num_classes=2, count_free_rays=free_rays)
+    assert found["occupied/rayiou"] == alone["rayiou"] == alone["occupied/rayiou"]
+    assert 0.1 < found["rayiou"] < found["occupied/rayiou"] < 1
 
 
 def test_nested_ranges_hold_the_nearer_ones():

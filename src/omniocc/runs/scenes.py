@@ -181,6 +181,6 @@ def summed(scenes: Collection[Mapping[str, Any]], kind: str) -> torch.Tensor | N
 
 
 def _scores(lines: torch.Tensor, content: Mapping[str, Any], classes: Sequence[int]) -> dict[str, float]:
-    counts = RayCounts(lines[None, 0], lines[None, 1], lines[None, 2:])
+    counts = RayCounts(lines[None, 0], lines[None, 1], lines[None, 2:], lines.new_zeros(1, len(lines) - 2))
     names = {k: content["classes"][k] for k in classes}
     return {key: float(value) for key, value in ray_scores(counts, names, content["thresholds_m"], ()).items()}
