@@ -106,4 +106,6 @@ OCCUPANCY_CLASSES = ClassTable(
     (SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130)))
 )
 """Two classes, for points of a LiDAR without classes."""
+ONE_CLASS = "free and occupied alone: scores are without classes"
+"""What commands say of data and networks with these classes."""
 assert WORLD_CLASSES.num_classes == NUM_CLASSES

@@ -8,6 +8,7 @@ from typing import Any
 from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
+from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
 from omniocc.config import compose_config
 from omniocc.data.origins import Origins
 from omniocc.errors import UserError
@@ -135,6 +136,8 @@ def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> Non
     """Score a checkpoint on the test scenes; write metrics, table and images to the folder."""
     task, data = trained.task, trained.data
     data.set_ray_origins(options.origins)
+    if data.num_classes == OCCUPANCY_CLASSES.num_classes:
+        print(f"classes   {ONE_CLASS}", flush=True)
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.spec.classes)
     trainer = Trainer(

@@ -15,7 +15,7 @@ from made_scenes import RIG, write_checkpoint, write_scene
 
 from omniocc.camera import Rig
 from omniocc.camera.masks import mask_cameras
-from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
+from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, ClassTable, SemanticClass
 from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.errors import UserError
@@ -349,6 +349,20 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
 
     with pytest.raises(UserError, match=r"has 12 classes .*trained with 19"):
         run(f"checkpoint={trained}", f"recorded={scene}", f"output={tmp_path / 'other'}")
+
+
+def test_a_network_without_classes_is_scored_without_them(scene, smoke, spec, tmp_path, capsys, run):
+    alone = dataclasses.replace(spec, classes=OCCUPANCY_CLASSES)
+    write_scene(tmp_path / "scenes" / "train-000-here", alone, 0, 2, RIG)
+    splits = "data.source.splits={train: [train-*], val: [], test: []}"
+    cfg = smoke("data=recorded", f"data.source.root={tmp_path / 'scenes'}", splits, "data.num_classes=2")
+    trained = write_checkpoint(tmp_path / "two.ckpt", cfg, alone)
+    run(f"checkpoint={trained}", f"recorded={scene}", "overview=false", f"output={tmp_path / 'out'}")
+    assert "classes   free and occupied alone: scores are without classes" in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())["metrics"]
+    assert {key for key in metrics if key.startswith("test/voxel/iou/")} == {"test/voxel/iou/occupied"}
+    assert metrics["test/voxel/iou/occupied"] == metrics["test/voxel/iou"] > 0
+    assert metrics["test/rayiou"] == metrics["test/occupied/rayiou"]
 
 
 def test_a_network_of_drawn_rigs_keeps_its_grid_around_the_origin_of_the_rig(

@@ -8,6 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
 from omniocc.config import as_options
 from omniocc.data.source import Ignore
 from omniocc.data.store.shard import sha256
@@ -91,7 +92,8 @@ def prepare(
         UserError, OSError: naming what does not exist or fit, or cannot be written.
     """
     model, trained = found.occupancy, found.facts
-    sequences, device = sequences_of(options, own, trained), choose_device(options.device)
+    sequences = with_classes_of(trained, sequences_of(options, own, trained))
+    device = choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
     made_from = facts_of(options, sequences, history, width, trained.ignore)
@@ -104,6 +106,14 @@ def prepare(
     above = found.occupied_above if options.occupied_above is None else options.occupied_above
     predictor = Predictor(model, width, options.exclude_cameras, device, above)
     return Job(predictor, history, trained, options, scores, show), sequences
+
+
+def with_classes_of(trained: TrainingData, sequences: Sequence[FrameSequence]) -> Sequence[FrameSequence]:
+    """Return the sequences; the ground truth of recorded ones without classes, and a line, if the training had none."""
+    if trained.classes != OCCUPANCY_CLASSES:
+        return sequences
+    print(f"classes   {ONE_CLASS}", flush=True)
+    return [replace(one, merged=True) if isinstance(one, RecordedSequence) else one for one in sequences]
 
 
 def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> Scores | None:

@@ -13,6 +13,7 @@ from lightning.pytorch.callbacks import Callback
 from omegaconf import OmegaConf
 
 from omniocc.camera import Rig
+from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
 from omniocc.data import Needs, OccupancyData
 from omniocc.data.source.cameras import first_rig
 from omniocc.errors import FAULTS, UserError, moved_by, reason_of
@@ -237,6 +238,8 @@ def announce_stage(title: str, task: StageTask, data: OccupancyData, place: Plac
     if weights_line is not None:
         announce(f"weights   {weights_line}")
     announce(f"data      {data.source.folder}")
+    if data.num_classes == OCCUPANCY_CLASSES.num_classes:
+        announce(f"classes   {ONE_CLASS}")
 
 
 def announce(text: str) -> None:

@@ -8,11 +8,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 from torch import Tensor
 
 from omniocc.batch import Truth
 from omniocc.camera import Rig
+from omniocc.classes import FREE, OCCUPANCY_CLASSES, UNKNOWN
 from omniocc.data import SceneReader
 from omniocc.data.source import Ignore, SceneFrames, SourceSpec
 from omniocc.data.source.recorded import spec_of, votes_of
@@ -105,10 +106,12 @@ class RecordedSequence:
     Attributes:
         scene: reader of its files.
         wanted: indices of the frames to be predicted; the others serve as history.
+        merged: whether all classes of the ground truth but free count as one, as for a network without classes.
     """
 
     scene: SceneReader
     wanted: tuple[int, ...]
+    merged: bool = False
     origin_z_m: ClassVar[float] = 0.0
     mount: ClassVar[Mount] = ALONE
 
@@ -130,7 +133,8 @@ class RecordedSequence:
     @property
     def spec(self) -> SourceSpec:
         """Return the classes and bands that the scene states; raise DataError when it states none."""
-        return spec_of(self.scene)
+        spec = spec_of(self.scene)
+        return replace(spec, classes=OCCUPANCY_CLASSES) if self.merged else spec
 
     @property
     def road_z_m(self) -> float | None:
@@ -161,10 +165,15 @@ class RecordedSequence:
         if not self.labelled:
             return None
         scan = self.scene.lidar(frame)
-        voxels = votes_of(self.scene, geometry, ignore).read(self.scene, frame)[None]
+        voxels = self._classes(votes_of(self.scene, geometry, ignore).read(self.scene, frame))[None]
         if scan is None:
             return Truth(voxels)
-        return Truth(voxels, torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])
+        labels = self._classes(torch.from_numpy(scan.labels))[None]
+        return Truth(voxels, torch.from_numpy(scan.range_m)[None], labels)
+
+    def _classes(self, labels: UInt8[Tensor, "..."]) -> UInt8[Tensor, "..."]:
+        occupied = (labels != FREE) & (labels != UNKNOWN)
+        return labels.masked_fill(occupied, OCCUPANCY_CLASSES.occupied[0]) if self.merged else labels
 
     def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"] | None:
         """Return the recorded panorama of range; None without one."""
