@@ -14,7 +14,6 @@ from omniocc.config import check_root, compose_config
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.rig_file import write_rig_file
-from omniocc.runs.trust import CONF
 from omniocc.train.start import load_fitting
 
 SCORES = ("rayiou", "rayiou_0-8.5m", "lidar/rayiou", "voxel/iou", "voxel/miou")

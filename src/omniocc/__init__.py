@@ -28,7 +28,7 @@ def _end_in_a_line(kind: type[BaseException], error: BaseException, trace: Trace
         sys.__excepthook__(kind, error, trace)
 
 
-# The scripts beside this package import all that is large for seconds, before their main shows Ctrl-C itself.
+# The scripts beside this package import for some tenths of a second before their main shows Ctrl-C itself.
 if (
     Path(getattr(sys.modules["__main__"], "__file__", None) or "-").resolve().parent
     == Path(__file__).resolve().parents[1]
