@@ -27,6 +27,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from omniocc.config import CONF, NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
 from omniocc.errors import INTERRUPTED, LOADER_ENDED, UserError
 from omniocc.io import cannot_write
+from omniocc.runs.help import help_text
 from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
@@ -141,16 +142,22 @@ def script(config_name: str, again: str = "") -> Callable[[Callable[[DictConfig]
         start = hydra.main(version_base=VERSION_BASE, config_path=str(CONF), config_name=config_name)
         run = accept_lazy_help(start(task))
 
+        def help_or_run(*args: Any) -> None:
+            if {"-h", "--help"} & set(sys.argv[1:]):
+                print(help_text(config_name, [word for word in sys.argv[1:] if not word.startswith("-")]))
+            else:
+                run(*args)
+
         @functools.wraps(main)
         @lines_not_tracebacks  # around Hydra too, which writes the command line of a multirun
         def wrapped(*args: Any) -> None:
             nonlocal unset
             unset = FULL_ERROR not in os.environ
             if not unset:
-                return run(*args)
+                return help_or_run(*args)
             os.environ[FULL_ERROR] = "1"
             try:
-                run(*args)
+                help_or_run(*args)
             except (HydraException, OmegaConfBaseException) as error:
                 sys.exit(explain(error, str(CONF), config_name, sys.argv[1:]))
             finally:
