@@ -126,7 +126,7 @@ if __name__ == "imported":
     sys.path[0] = str(SRC)  # as if one of the scripts had been started
     import wandb.sdk.launch.inputs.internal  # noqa: F401  imported by every run with curves when it begins
 
-    for path in sorted(COMMANDS.glob("*.py")):  # also what their functions import
+    for path in sorted(COMMANDS.glob("[a-z]*.py")):  # also what their functions import
         imported = (node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom))
         for module in filter(None, imported):
             importlib.import_module(module)

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import nn
 
-from omniocc.config import ConfigError, compose_plain
+from omniocc.config import CONF, ConfigError, compose_plain
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint import check_parts, load_checkpoint
 from omniocc.runs.trust import GROUPS, building, fault_of, not_offered

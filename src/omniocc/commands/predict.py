@@ -1,4 +1,4 @@
-"""Apply a trained model to your own images: `python src/predict.py {depth,occupancy} rig=... images=...`.
+"""Predict ranges or voxels from your own images: `python src/predict.py {depth,occupancy} rig=... images=...`.
 
 `python src/predict.py submission checkpoint=...` writes what a benchmark takes. `occupancy --help` lists the options.
 """

@@ -1,4 +1,4 @@
-"""Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
+"""Write tables, plots and pages of all finished runs: `python src/report.py [--runs runs] [--output runs/report]`.
 
 Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, with the paper's figures beside ours;
 one page has all tables, plots, and the same test frames for all rows. Runs of another preset, number of steps or
