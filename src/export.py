@@ -1,21 +1,6 @@
-"""Export a trained network for one rig as a file: `python src/export.py checkpoint=... rig=... output=model.pt2`."""
+"""Export a trained network for one rig as a file; see `python src/export.py --help`."""
 
-from pathlib import Path
-
-from omegaconf import DictConfig
-
-from omniocc.export import export_files
-from omniocc.predict.options import load_rig, require
-from omniocc.runs.script import quiet_libraries, script
-
-
-@script("export")
-def main(cfg: DictConfig) -> None:
-    """Check the options, export, print a line about the files."""
-    quiet_libraries()
-    require(cfg, ("checkpoint", "rig"), "export.py")
-    print(export_files(cfg.checkpoint, load_rig(cfg.rig), Path(cfg.output), cfg.image_width, cfg.road_z_m))
-
+from omniocc.commands.export import main
 
 if __name__ == "__main__":
     main()

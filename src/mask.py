@@ -1,20 +1,6 @@
-"""Mask the pixels in which a rig's cameras see their own car: `python src/mask.py rig=... output=...`; see `--help`."""
+"""Mask the pixels in which a rig's cameras see their own car; see `python src/mask.py --help`."""
 
-from pathlib import Path
-
-from omegaconf import DictConfig
-
-from omniocc.predict.options import require
-from omniocc.runs.script import script
-from omniworld.mask import mask_own_car
-
-
-@script("mask")
-def main(cfg: DictConfig) -> None:
-    """Find the pixels, write the masked rig and an image."""
-    require(cfg, ("output",), "mask.py")
-    mask_own_car(cfg.rig, cfg.scenes, cfg.car, cfg.grow_px, Path(cfg.output))
-
+from omniocc.commands.mask import main
 
 if __name__ == "__main__":
     main()

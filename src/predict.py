@@ -1,60 +1,6 @@
-"""Apply a trained model to your own images: `python src/predict.py {depth,occupancy} rig=... images=...`.
+"""Predict ranges or voxels from your own images, or what a benchmark takes; see `python src/predict.py --help`."""
 
-`python src/predict.py submission checkpoint=...` writes what a benchmark takes. `occupancy --help` lists the options.
-"""
-
-import sys
-from pathlib import Path
-
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
-
-from omniocc.extras.recorders.bag_predictions import BAGS
-from omniocc.extras.viewer.command import open_viewer
-from omniocc.predict.depth import predict_panoramas
-from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.predict.submission import changed_places, predict_submission
-from omniocc.runs.script import quiet_libraries, script
-
-
-@script("predict_depth")
-def depth(cfg: DictConfig) -> None:
-    """Predict a range panorama for every frame."""
-    overrides = [str(override) for override in HydraConfig.get().overrides.task]
-    with open_viewer(cfg.viewer, f"depth, {cfg.output}", "RangeStream") as stream:
-        predict_panoramas(cfg, overrides, stream, BAGS)
-
-
-@script("predict_occupancy")
-def occupancy(cfg: DictConfig) -> None:
-    """Predict the voxels of every frame."""
-    quiet_libraries()
-    options = options_of(cfg)
-    with open_viewer(options.viewer, f"occupancy, {options.output}", "VoxelStream") as stream:
-        predict_occupancy(options, stream, BAGS)
-
-
-@script("predict_submission")
-def submission(cfg: DictConfig) -> None:
-    """Predict every frame of a dataset's split in the benchmark's submission format."""
-    quiet_libraries()
-    changes = changed_places(cfg.root, cfg.sequences, cfg.split)
-    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device, cfg.force)
-
-
-COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}
-
-
-def main() -> None:
-    """Run the command that the first argument names."""
-    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
-        asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(
-            f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists its keys)"
-        )
-        sys.exit(0 if asked else 2)
-    COMMANDS[sys.argv.pop(1)]()
-
+from omniocc.commands.predict import main
 
 if __name__ == "__main__":
     main()

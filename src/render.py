@@ -1,28 +1,6 @@
-"""Render the virtual dataset of a preset, read it back, or make a page to browse it; see `--help`."""
+"""Render the virtual dataset of a preset, read it back, or browse it; see `python src/render.py --help`."""
 
-from typing import cast
-
-from omegaconf import DictConfig
-
-from omniocc.config import check
-from omniocc.errors import UserError
-from omniocc.parts import Parts
-from omniocc.runs.script import script
-from omniworld import VirtualWorld
-from omniworld.command import use_world
-
-
-@script("render", "the same command goes on")
-def main(cfg: DictConfig) -> None:
-    """Check the configuration and build the world; then render it, read it back or draw a page."""
-    if "frames_per_scene" not in cfg.data.source:
-        raise UserError("render.py renders only scenes of the virtual world: leave data=... out")
-    check(cfg.data.source)
-    whole_length = cfg.data.source.frames_per_scene
-    world = cast(VirtualWorld, Parts(cfg).source(frames_per_scene=whole_length if cfg.frames is None else cfg.frames))
-    use = "check" if cfg.check else "page" if cfg.page else "render"
-    use_world(world, cfg.first_scene, cfg.scenes, whole_length, use)
-
+from omniocc.commands.render import main
 
 if __name__ == "__main__":
     main()

@@ -1,45 +1,6 @@
-"""Begin a rig file or look at one: `python src/rig.py new lens=mei cameras=4`, `python src/rig.py show my_rig.yaml`."""
+"""Begin a rig file, or draw and check one; see `python src/rig.py --help`."""
 
-import sys
-from pathlib import Path
-
-from omegaconf import DictConfig, ListConfig
-
-from omniocc.config import quoted
-from omniocc.predict.options import require
-from omniocc.predict.rig_file import show_rig, write_rig_file
-from omniocc.runs.script import quiet_libraries, script
-
-
-@script("rig_new")
-def new(cfg: DictConfig) -> None:
-    """Write a rig file in which every key is explained."""
-    write_rig_file(cfg.lens, cfg.cameras, Path(cfg.file), cfg.force)
-
-
-@script("rig_show")
-def show(cfg: DictConfig) -> None:
-    """Draw a rig, print a table of its cameras and what is suspicious."""
-    require(cfg, ("rig",), "rig.py show")
-    quiet_libraries()
-    images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else cfg.images
-    show_rig(cfg.rig, images, Path(cfg.output), [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
-
-
-COMMANDS = {"new": new, "show": show}
-
-
-def main() -> None:
-    """Run the command that the first argument names; `show` takes the rig without its key."""
-    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
-        asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(f"usage: python src/rig.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists its keys)")
-        sys.exit(0 if asked else 2)
-    command = sys.argv.pop(1)
-    if command == "show" and len(sys.argv) > 1 and "=" not in sys.argv[1] and not sys.argv[1].startswith("-"):
-        sys.argv[1] = f"rig={quoted(sys.argv[1])}"
-    COMMANDS[command]()
-
+from omniocc.commands.rig import main
 
 if __name__ == "__main__":
     main()

@@ -1,17 +1,6 @@
-"""Train a model, test its best checkpoint on unseen scenes, write figures and images; options: `--help`."""
+"""Train a model, test its best checkpoint, write figures and images; see `python src/train.py --help`."""
 
-from omegaconf import DictConfig
-
-from omniocc.runs.script import quiet_libraries, script
-from omniocc.train.command import train
-
-
-@script("train", "the same command goes on")
-def main(cfg: DictConfig) -> None:
-    """Run the stages of the configuration that are missing."""
-    quiet_libraries()
-    train(cfg)
-
+from omniocc.commands.train import main, work  # noqa: F401  `work` is for omniocc.runs.fork_server
 
 if __name__ == "__main__":
     main()

@@ -10,11 +10,10 @@ from omegaconf import OmegaConf
 from omniocc import adapt as module
 from omniocc.adapt import Plan, adapt, check_road, planned, rig_overrides, with_road_in_file
 from omniocc.camera import Rig
-from omniocc.config import check_root, compose_config
+from omniocc.config import CONF, check_root, compose_config
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.rig_file import write_rig_file
-from omniocc.runs.trust import CONF
 from omniocc.train.start import load_fitting
 
 SCORES = ("rayiou", "rayiou_0-8.5m", "lidar/rayiou", "voxel/iou", "voxel/miou")

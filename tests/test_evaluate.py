@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluate import main, parser_of
+from omniocc.commands.evaluate import main, parser_of
 from omniocc.evaluate import Evaluation, results_folder
 from omniocc.runs.weights import SHIPPED
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 from scripts import run_script
 
-import predict as script
 from omniocc.camera import Rig
+from omniocc.commands import predict as script
 from omniocc.config import build, plain
 from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
@@ -181,6 +181,6 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
 def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):
     result = run_script("predict.py", "occupancy", "--help", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    for words in ("voxels.npz", "poses=my_poses.csv", "\nhistory: null"):
+    for words in ("voxels.npz", "poses=my_poses.csv", "\nhistory=null "):
         assert words in result.stdout
     assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ def __getattr__(name: str) -> Any:
     return load
 
 
-def _end_in_a_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def end_in_a_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Show Ctrl-C as a line, other errors as Python does."""
     if issubclass(kind, KeyboardInterrupt):
         print("stopped by Ctrl-C", file=sys.stderr)
@@ -28,9 +28,9 @@ def _end_in_a_line(kind: type[BaseException], error: BaseException, trace: Trace
         sys.__excepthook__(kind, error, trace)
 
 
-# The scripts beside this package import all that is large for seconds, before their main shows Ctrl-C itself.
+# The scripts beside this package import for some tenths of a second before their main shows Ctrl-C itself.
 if (
     Path(getattr(sys.modules["__main__"], "__file__", None) or "-").resolve().parent
     == Path(__file__).resolve().parents[1]
 ):
-    sys.excepthook = _end_in_a_line
+    sys.excepthook = end_in_a_line

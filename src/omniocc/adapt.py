@@ -11,7 +11,7 @@ from typing import NamedTuple, cast
 import torch
 from omegaconf import DictConfig
 
-from omniocc.config import compose_config, quoted
+from omniocc.config import CONF, compose_config, quoted
 from omniocc.data.dataset import read_images
 from omniocc.data.source import MadeScenes, SceneSource
 from omniocc.data.source.cameras import first_rig, frames_in, training_frames
@@ -26,7 +26,6 @@ from omniocc.runs.checkpoint_io import BEST
 from omniocc.runs.folder import run_folder, short_hash
 from omniocc.runs.results import IMAGES, load_results
 from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
-from omniocc.runs.trust import CONF
 from omniocc.train.command import step_seconds, train
 from omniocc.train.depth import DepthTask
 from omniocc.train.stage import Stage

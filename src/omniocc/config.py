@@ -26,6 +26,8 @@ Options = TypeVar("Options")
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
 VERSION_BASE = "1.3"
+CONF = (Path(__file__).parent / "conf").resolve()
+"""Folder of the options: the one beside `src`, and a copy of it in an installed package."""
 OWN_PACKAGE = ("omniocc", "omniworld", "rayiou")
 PACKAGES = (*OWN_PACKAGE, "lightning", "torch")
 """Packages whose classes a configuration from the command line may name."""

@@ -9,7 +9,7 @@ from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
 from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
-from omniocc.config import compose_config
+from omniocc.config import CONF, compose_config
 from omniocc.data.origins import Origins
 from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
@@ -17,7 +17,6 @@ from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
 from omniocc.runs.folder import git_commit
 from omniocc.runs.results import EVALUATION, IMAGES, OVERRIDES, PROTOCOL, save_results, show_results
-from omniocc.runs.trust import CONF
 from omniocc.runs.weights import SHIPPED, find_checkpoint
 from omniocc.train import StepProgress
 from omniocc.train.audit import audit

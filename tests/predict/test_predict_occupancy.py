@@ -261,7 +261,6 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
     (tmp_path / "file").write_text("in the way")
     trained, own, rig = f"checkpoint={checkpoint}", f"images={images}", f"rig={images / 'rig.yaml'}"
     cases = (
-        ([own, rig], ["checkpoint=..."]),
         ([f"checkpoint={tmp_path / 'depth.ckpt'}", own, rig], ["depth stage", "best.ckpt"]),
         ([f"checkpoint={tmp_path / 'damaged.ckpt'}", own, rig], ["damaged.ckpt"]),
         ([f"checkpoint={tmp_path / 'nan.ckpt'}", own, rig], ["nan.ckpt", "NaN"]),

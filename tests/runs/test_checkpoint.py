@@ -11,10 +11,10 @@ import pytest
 import torch
 from torch import nn
 
-from omniocc.config import ConfigError, compose_plain
+from omniocc.config import CONF, ConfigError, compose_plain
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint import check_parts, load_checkpoint
-from omniocc.runs.trust import CONF, GROUPS, building, fault_of, not_offered
+from omniocc.runs.trust import GROUPS, building, fault_of, not_offered
 
 
 def write(path, config, stage="occupancy", weights=None):

@@ -7,7 +7,7 @@ from omniocc.config import plain
 from omniocc.errors import UserError
 from omniocc.runs.checkpoint_io import LAST, write_checkpoint
 from omniocc.runs.distributed import is_first
-from omniocc.runs.folder import command_line, command_of, open_run, run_hash
+from omniocc.runs.folder import COMMANDS, command_line, command_of, open_run, run_hash
 from omniocc.runs.results import METRICS
 from omniocc.train.stage_keys import stage_keys
 
@@ -196,6 +196,8 @@ def test_a_command_names_no_machine(tmp_path, monkeypatch):
     for script in ("src/train.py", str(tmp_path / "src" / "train.py")):
         monkeypatch.setattr("sys.argv", [script, "name=my run", "+ablation=mono"])
         assert command_line() == "python src/train.py 'name=my run' +ablation=mono"
+    monkeypatch.setattr("sys.argv", [str(COMMANDS / "train.py"), "seed=1"])  # as an installed package starts it
+    assert command_line() == "omniocc train seed=1"
 
 
 def test_environment_variables_that_decide_are_part_of_the_command(monkeypatch):

@@ -17,6 +17,9 @@ from pathlib import Path
 HERE = Path(__file__).parent
 (HERE / f"imported-{os.getpid()}").touch()
 
+def work():
+    (HERE / f"worked-{os.getpid()}").touch()
+
 if __name__ == "__main__":
     print(sys.argv[1:], os.environ.get("NAME"), os.environ.get("OMP_NUM_THREADS"), sys.path[0] == str(HERE), flush=True)
     print("beside", file=sys.stderr, flush=True)
@@ -61,6 +64,7 @@ def test_imports_of_the_script_are_done_once_before_it_is_copied(server, tmp_pat
     wait_for(lambda: all(copy.poll() == 0 for copy in copies))
     once = {path.name for path in tmp_path.glob("imported-*")} - {f"imported-{copy.pid}" for copy in copies}
     assert len(once) == 1  # copies run the script itself again, as every start does, with its modules loaded
+    assert {path.name.replace("worked", "imported") for path in tmp_path.glob("worked-*")} == once
 
 
 def test_a_copy_is_the_head_of_a_group_that_can_be_ended(server, tmp_path):

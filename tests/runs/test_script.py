@@ -153,6 +153,8 @@ def test_nearest_names_come_best_first_and_far_ones_not_at_all():
         (("train.py", "--help", "model/sketch=onmi"), "model/sketch=onmi: "),
         (("render.py", "scene=2"), "scene: there is no such key; did you mean scenes"),
         (("export.py", "rigg=x"), "rigg: there is no such key; did you mean rig"),
+        (("predict.py", "depth"), "images=... is needed; see python src/predict.py depth --help"),
+        (("predict.py", "occupancy"), "checkpoint=... is needed; see python src/predict.py occupancy --help"),
         (("predict.py", "depth", "rigg=x"), "rigg: there is no such key; did you mean rig"),
         (("predict.py", "occupancy", "rig=[x"), "rig=[x: this cannot be read"),
     ],

@@ -9,7 +9,6 @@ from rayiou.directions import RayOrigins, trajectory_origins
 Origins = Literal["own", "ego", "trajectory"]
 """`own`: those of the dataset's protocol, else the ego origin; `ego`: the ego origin of the scored frame; `trajectory`:
 where the car was in past, present and future frames (those of the dataset's protocol, if it has them)."""
-ORIGINS: tuple[Origins, ...] = ("own", "ego", "trajectory")
 
 
 def scene_origins(scene: SceneFrames, frame: int, grid: Grid) -> RayOrigins:

@@ -18,7 +18,7 @@ from omniocc.parts import Parts
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.sequence import ImageSequence
-from omniocc.predict.options import choose_device, require
+from omniocc.predict.options import choose_device
 from omniocc.predict.output.bag import Bags, bag_path, ranges_of, run_into_bag
 from omniocc.predict.output.range_files import point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
@@ -44,7 +44,6 @@ def predict_panoramas(
     Raises:
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
-    require(cfg, ("images",), "predict.py depth")
     bag = bag_path(cfg.write_bag, bags)
     given = OwnImages(*(_plain(cfg[key]) for key in OwnImages._fields))
     with own_images(given, bags and bags.read) as sequence:

@@ -24,7 +24,7 @@ from omniocc.predict.input.sequence import (
     find_scenes,
 )
 from omniocc.predict.job import Job, ShowFrame
-from omniocc.predict.options import Options, choose_device, require
+from omniocc.predict.options import Options, choose_device
 from omniocc.predict.output.bag import Bags, bag_path, run_into_bag, voxels_of
 from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
@@ -44,7 +44,6 @@ def options_of(cfg: DictConfig) -> Options:
     Raises:
         UserError: naming the option that is missing, contradictory or of the wrong type.
     """
-    require(cfg, ("checkpoint",), "predict.py occupancy")
     options = as_options(Options, "occupancy", {str(key): value for key, value in cfg.items()})
     if (options.images is None) == (options.recorded is None):
         raise UserError("give either images=... (with rig=...), your own images, or recorded=..., recorded scenes")

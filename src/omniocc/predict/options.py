@@ -1,10 +1,9 @@
-"""Options of `predict.py occupancy`, and those that several commands share: rig, device, required keys."""
+"""Options of `predict.py occupancy`, and those that several commands share: rig, device."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 
 from omniocc.bounds import Probability
 from omniocc.camera import Rig
@@ -37,17 +36,6 @@ class Options:
     topics: str | None = None
     write_bag: str | None = None
     occupied_above: Probability | None = None  # pyright: ignore[reportOperatorIssue]
-
-
-def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:
-    """Check that mandatory keys have a value.
-
-    Raises:
-        UserError: naming the first missing key and the command whose `--help` explains it.
-    """
-    for key in keys:
-        if OmegaConf.is_missing(cfg, key):
-            raise UserError(f"{key}=... is needed; see python src/{command} --help")
 
 
 def load_rig(source: str) -> Rig:

@@ -13,7 +13,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from omniocc.config import PACKAGES, PACKAGES_VARIABLE
+from omniocc.config import CONF, PACKAGES, PACKAGES_VARIABLE
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
@@ -47,6 +47,8 @@ VOLATILE = (
 LAST_STAGE = "occupancy"
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "log_every_n_steps", "enable_model_summary")
 """Keys at any depth that do not change what a run computes: where data lie, and how a machine reads and tells them."""
+PACKAGE = Path(__file__).resolve().parents[1]
+COMMANDS = PACKAGE / "commands"
 DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
 """Environment variables by which the same command composes another configuration."""
 CHANGED, NO_COMMIT = "+", "unknown"
@@ -200,6 +202,8 @@ def command_line() -> str:
     """
     script, *arguments = sys.argv
     path = Path(script)
+    if path.resolve().parent == COMMANDS:
+        return " ".join([*_assigned(os.environ), shlex.join(["omniocc", path.stem, *arguments])])
     if path.is_absolute() and path.is_relative_to(Path.cwd()):
         script = str(path.relative_to(Path.cwd()))
     return " ".join([*_assigned(os.environ), shlex.join(["python", script, *arguments])])
@@ -219,11 +223,16 @@ def _assigned(environment: Mapping[str, str]) -> list[str]:
 
 
 def git_commit() -> str:
-    """Return the commit of the source tree, with `+` when it has changes; `unknown` outside a repository."""
-    here = Path(__file__).parent
+    """Return the commit of the source tree, with `+` when it has changes; `unknown` of an installed package."""
+    if CONF.is_relative_to(PACKAGE):  # a repository around it is another one
+        return NO_COMMIT
     try:
         show = subprocess.run(
-            ["git", "describe", "--always", f"--dirty={CHANGED}"], cwd=here, capture_output=True, text=True, check=True
+            ["git", "describe", "--always", f"--dirty={CHANGED}"],
+            cwd=PACKAGE,
+            capture_output=True,
+            text=True,
+            check=True,
         )
     except (OSError, subprocess.CalledProcessError):
         return NO_COMMIT

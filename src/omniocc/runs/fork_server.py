@@ -1,6 +1,6 @@
 """Start a script many times as copies of one process whose imports are done.
 
-Imports take some ten seconds of processor time, a copy some milliseconds. The process that is copied only imports: it
+Imports take some seven seconds of processor time, a copy some milliseconds. The process that is copied only imports: it
 starts no thread, touches no GPU and computes nothing. It speaks lines of JSON: a request for each copy, and an answer
 when the copy begins and when it ends. This module imports the standard library alone, as `omniocc.progress` does.
 """
@@ -48,7 +48,8 @@ class ForkServer:
     """Starts copies of a process that has imported a script; all of them end with it, and it with this process.
 
     Args:
-        script: file of Python whose imports are done once; it must do nothing else when it is imported.
+        script: file of Python whose imports are done once, also those of its function `work` if it has one; it must do
+            nothing else then.
         log: file for what the imports print.
     """
 
@@ -109,7 +110,7 @@ def serve(script: str) -> dict[str, Any]:
     """Import a script and answer requests; in a copy, return its request."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what is printed must not look like an answer
-    runpy.run_path(script, run_name="imported")
+    runpy.run_path(script, run_name="imported").get("work", str)()
     gc.collect()
     gc.freeze()  # garbage collection in a copy then leaves the memory alone that copies have in common
     requests = os.fdopen(os.dup(0), "rb", buffering=0)

@@ -2,7 +2,6 @@
 
 import codecs
 import functools
-import inspect
 import logging
 import os
 import re
@@ -20,15 +19,15 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
-import cv2
 import hydra
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from omniocc.config import NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
+from omniocc.config import CONF, NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
 from omniocc.errors import INTERRUPTED, LOADER_ENDED, UserError
 from omniocc.io import cannot_write
+from omniocc.runs.help import help_text
 from omniocc.runs.renamed import new_key
 
 P = ParamSpec("P")
@@ -132,27 +131,35 @@ def script(config_name: str, again: str = "") -> Callable[[Callable[[DictConfig]
     """
 
     def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
-        conf = str(Path(inspect.getfile(main)).resolve().parents[1] / "conf")
+        unset = False  # whether the variable was set by this function alone
 
         @functools.wraps(main)
         def task(cfg: DictConfig) -> None:
-            if setting is None:
+            if unset:
                 os.environ.pop(FULL_ERROR, None)  # later errors are reported as usual
             lines_not_tracebacks(main, again)(cfg)
 
-        run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
-        setting = os.environ.get(FULL_ERROR)
+        start = hydra.main(version_base=VERSION_BASE, config_path=str(CONF), config_name=config_name)
+        run = accept_lazy_help(start(task))
+
+        def help_or_run(*args: Any) -> None:
+            if {"-h", "--help"} & set(sys.argv[1:]):
+                print(help_text(config_name, [word for word in sys.argv[1:] if not word.startswith("-")]))
+            else:
+                run(*args)
 
         @functools.wraps(main)
         @lines_not_tracebacks  # around Hydra too, which writes the command line of a multirun
         def wrapped(*args: Any) -> None:
-            if setting is not None:
-                return run(*args)
+            nonlocal unset
+            unset = FULL_ERROR not in os.environ
+            if not unset:
+                return help_or_run(*args)
             os.environ[FULL_ERROR] = "1"
             try:
-                run(*args)
+                help_or_run(*args)
             except (HydraException, OmegaConfBaseException) as error:
-                sys.exit(explain(error, conf, config_name, sys.argv[1:]))
+                sys.exit(explain(error, str(CONF), config_name, sys.argv[1:]))
             finally:
                 os.environ.pop(FULL_ERROR, None)
 
@@ -188,8 +195,21 @@ def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
+def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:
+    """Check that mandatory keys have a value.
+
+    Raises:
+        UserError: naming the first missing key and the command whose `--help` explains it.
+    """
+    for key in keys:
+        if OmegaConf.is_missing(cfg, key):
+            raise UserError(f"{key}=... is needed; see python src/{command} --help")
+
+
 def quiet_libraries() -> None:
     """Turn off the banners, tips and known harmless warnings of other libraries."""
+    import cv2  # not before a command builds something, as all that is large: `--help` starts at once
+
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.ERROR)
     os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")

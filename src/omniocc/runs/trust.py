@@ -15,12 +15,10 @@ from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 import omniocc
-from omniocc.config import ConfigError
+from omniocc.config import CONF, ConfigError
 from omniocc.errors import UserError, first_line
 from omniocc.io import read_yaml
 
-CONF = Path(omniocc.__file__).parent / "conf"
-"""Folder of the options: a link to the one beside `src`, and a copy of it in a wheel."""
 GROUPS = {
     "depth": "model/depth",
     "model": "model",

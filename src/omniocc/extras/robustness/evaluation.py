@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from omniocc.config import compose_config, plain
+from omniocc.config import CONF, compose_config, plain
 from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
 from omniocc.data.loader import Loader
 from omniocc.data.source import MadeScenes, SceneFrames
@@ -33,7 +33,6 @@ from omniocc.runs.checkpoint import Checkpoint
 from omniocc.runs.folder import command_line, git_commit, short_hash
 from omniocc.runs.robustness import FOLDER, WITHIN, PartScores, Robustness, load_part, save_part, save_robustness
 from omniocc.runs.table import in_columns
-from omniocc.runs.trust import CONF
 from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import log_robustness
 from omniocc.runs.weights import digest_of
