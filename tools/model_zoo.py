@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from make_weights import FRAMES, RECIPES, ROOT, recipe_of
+from make_weights import FRAMES, ROOT, recipe_of
 
 from omniocc.data.store.reader import SceneReader
 from omniocc.predict import load
@@ -55,7 +55,9 @@ def training_of(recipe: dict[str, Any]) -> tuple[dict[str, int], dict[str, int]]
 
 def scores_of(card: str) -> list[str]:
     """Return RayIoU of a card, in all and in each distance band; a dash where it has none."""
-    rows = dict(re.findall(r"^\| (voxel RayIoU.*?) \| (\S+) \|$", card.partition("## On the four frames")[0], re.MULTILINE))
+    rows = dict(
+        re.findall(r"^\| (voxel RayIoU.*?) \| (\S+) \|$", card.partition("## On the four frames")[0], re.MULTILINE)
+    )
     keys = ["voxel RayIoU", *(f"voxel RayIoU, {band.replace('m', ' m')}" for band in BANDS)]
     return [rows.get(key, "–") for key in keys]
 
