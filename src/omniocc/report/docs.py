@@ -8,7 +8,7 @@ from pathlib import Path
 from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.progress import Progress
-from omniocc.report.chapters import BOUNDS_COLUMNS, BOUNDS_NOTE, SPREAD, bounds_part, budget_part
+from omniocc.report.chapters import BOUNDS_NOTE, SPREAD, bounds_part, budget_part
 from omniocc.report.datasets import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
@@ -55,6 +55,8 @@ MORE = (
     "(csv/tried.csv), [learning rates](csv/learning_rates.csv), [seeds that a gap needs](csv/power.csv).",
 )
 MEANS = "Means over seeds. Scores 'here' are of the runs of this repository."
+COUNTED_TITLE = "How scores are counted"
+COUNTED = f"[{COUNTED_TITLE}]({{}}{PAPER}.md#{COUNTED_TITLE.lower().replace(' ', '-')})."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 
 
@@ -150,7 +152,7 @@ def results_page(sweep: Sweep) -> str:
 
 
 def tables_page(page: str, sweep: Sweep) -> str:
-    """Return the tables of a page, means alone, each with its note and runs below; then how scores were counted."""
+    """Return the tables of a page, means alone, each with its note and runs below."""
     tables = [table for table in sweep.tables if table.page == page]
     root = "../" * page.count("/")
     parts = [dataset_part(table) for table in sweep.datasets] if page == PAPER else []
@@ -163,11 +165,16 @@ def tables_page(page: str, sweep: Sweep) -> str:
         )
         for table in tables
     ]
-    keys = dict.fromkeys(key for table in tables for key in table.columns)
+    counted = counted_text(sweep) if page == PAPER else COUNTED.format(root)
+    return "\n\n".join([MEANS, parts_text(parts), counted]) if tables else ""
+
+
+def counted_text(sweep: Sweep) -> str:
+    """Return how the scores of all tables were counted, as a section of a page."""
+    keys = dict.fromkeys(key for table in sweep.tables for key in table.columns)
     names = method_names(sweep.tables)
-    rows = {named(row, names): runs for row, runs in rows_in(tables, sweep.table_rows).items()}
-    counted = protocol_list(rows, keys)
-    return "\n\n".join([MEANS, parts_text(parts), *counted]) if tables else ""
+    rows = {named(row, names): runs for row, runs in rows_in(sweep.tables, sweep.table_rows).items()}
+    return "\n\n".join([f"## {COUNTED_TITLE}", "The same for all pages of results.", *protocol_list(rows, keys)])
 
 
 def source(table: PaperTable, sweep: Sweep) -> str:
@@ -204,7 +211,7 @@ def costs_page(sweep: Sweep) -> str:
     """Return what the rows of the tables cost, and the bounds of scores on each grid."""
     bounds = bounds_part(sweep)._replace(note=BOUNDS_NOTE)
     parts = [budget_part(sweep, rows_in(sweep.tables, sweep.table_rows)), bounds]
-    return "\n\n".join([parts_text(parts), *protocol_list(sweep.rows, BOUNDS_COLUMNS.values())])
+    return "\n\n".join([parts_text(parts), COUNTED.format("../")])
 
 
 def claims_csv(sweep: Sweep) -> str:

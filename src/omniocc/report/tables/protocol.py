@@ -29,12 +29,13 @@ def protocol_list(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]
     """Return how scores were counted as paragraphs of Markdown for a page: lists of short points."""
     found, ways = [], counted(rows, keys)
     for each in ways:
-        points = [f"{point[:1].upper()}{point[1:]}." for point in each.text.split("; ")]
+        # 'mIoU' keeps its small letter
+        points = [f"{point if point[1:2].isupper() else titled(point)}." for point in each.text.split("; ")]
         if sum(way.score == each.score for way in ways) > 1:
             points.append(f"These rows: {_named(each.rows, rows)}.")
         elif not each.of_all:
             points.append(f"Not recorded for {len(rows) - len(each.rows)} of {len(rows)} rows.")
-        found.append("\n".join([f"**How {each.score} is counted**", "", *(f"* {point}" for point in points)]))
+        found.append("\n".join([f"**{each.score}**", "", *(f"* {point}" for point in points)]))
     return found
 
 
