@@ -121,6 +121,28 @@ def test_commands_compose(overrides, composed):
     assert composed(*shlex.split(overrides)).model
 
 
+def test_commands_on_datasets_name_their_root():
+    needs = {path.stem for path in (ROOT / "conf" / "data").glob("*.yaml") if "root: ???" in path.read_text()}
+    used = re.compile(r"python src/(?:train|evaluate|check)\.py[^`\n]*\bdata=(\w+)([^`\n]*)")
+    found = [
+        (page.name, name, rest) for page in PAGES for name, rest in used.findall(page.read_text()) if name in needs
+    ]
+    assert len(found) > 5
+    assert [entry for entry in found if "data.source.root=" not in entry[2] and "..." not in entry[2]] == []
+
+
+def test_upper_bounds_that_pages_quote_are_those_of_their_table():
+    table = (ROOT / "docs" / "results" / "appendix" / "costs.md").read_text()
+    ((cylinder,), (cuboid,)) = (
+        re.findall(rf"^\| {grid} .*? (0\.\d+) \|$", table, re.MULTILINE) for grid in ("cylinder", "cuboid")
+    )
+    quoted = {
+        "docs/how_to/troubleshooting.md": f"true voxels score {cylinder} at",
+        "docs/results/appendix/breakdowns.md": f"true voxels score {cylinder} (cylinder) and {cuboid} (cuboid)",
+    }
+    assert [path for path, text in quoted.items() if text not in (ROOT / path).read_text()] == []
+
+
 def test_where_is_it_names_what_the_file_holds():
     table = (ROOT / "docs" / "where_is_it.md").read_text()
     rows = ROW.findall(table)

@@ -54,9 +54,7 @@ def test_pages_have_short_points_and_count_the_rows_without_a_record():
     told = {"rayiou": "rays from the ego origin; correct: same class; mIoU: mean"}
     rows = {"ours": runs(told), "mono": runs(told), "old": runs(None)}
     points = "* Rays from the ego origin.\n* Correct: same class.\n* mIoU: mean."
-    assert protocol_list(rows, KEYS) == [
-        f"**Voxel RayIoU**\n\n{points}\n* Not recorded for 1 of 3 rows."
-    ]
+    assert protocol_list(rows, KEYS) == [f"**Voxel RayIoU**\n\n{points}\n* Not recorded for 1 of 3 rows."]
     rows["other"] = runs(OTHER)
     assert [text.splitlines()[-1] for text in protocol_list(rows, KEYS[:1])] == [
         "* These rows: ours, mono.",
