@@ -81,6 +81,7 @@ ablations: $(READY)  ## Train the rows of the paper's tables, then write them (S
 
 weights: $(READY)  ## Train the weights that come with the package, for hours, and pack them with a card each (NAME=tiny: one of tools/weights)
 	$(BIN)/python tools/make_weights.py $(NAME)
+	$(BIN)/python tools/model_zoo.py
 
 pictures: $(READY)  ## Make the documentation's pictures (SURROUND_VIEW=folder: and those of a real car, docs/real_frames.md)
 	$(BIN)/python tools/pictures.py $(SURROUND_VIEW)

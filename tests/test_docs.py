@@ -37,7 +37,7 @@ COMMAND = re.compile(r"^(?:    )?python src/train\.py(.*?)(?: +#.*)?$", re.MULTI
 ROW = re.compile(r"^\| (?!\*\*|task|---)(.+?) \| (.+?) \|(.*?)\|$", re.MULTILINE)
 CODE = re.compile(r"`([^`]+)`")
 PICTURE = re.compile(r"!\[[^\]]*\]\([./\w]*pictures/([\w.]+)\)(.{,500})", re.DOTALL)
-WORDS_IN_ALL, README_LINES = 45_000, 120
+WORDS_IN_ALL, README_LINES, LARGEST_PICTURE = 45_000, 120, 4_000_000
 
 
 def by_page(pattern: re.Pattern[str], pages: list[Path] = PAGES) -> list[tuple[str, str]]:
@@ -328,7 +328,9 @@ def test_documentation_has_at_most_as_many_words_as_its_budget():
 def test_every_picture_is_used_and_names_the_command_that_makes_it():
     shown = [(page, name, rest) for page in PAGES for name, rest in PICTURE.findall(page.read_text())]
     assert len(shown) >= 10
-    assert {name for _, name, _ in shown} == {path.name for path in (ROOT / "docs" / "pictures").iterdir()}
+    files = list((ROOT / "docs" / "pictures").iterdir())
+    assert {name for _, name, _ in shown} == {path.name for path in files}
+    assert max(path.stat().st_size for path in files) < LARGEST_PICTURE
     told = re.compile(r"`(make pictures|python tools/)|drawn by hand")
     assert [(page.name, name) for page, name, rest in shown if not told.search(rest)] == []
 

@@ -4,7 +4,6 @@ Scores are those of the cards beside the weights, scenes and steps those of the 
 operations and the time of a frame are measured on a recorded frame of the tests, with one CPU thread.
 """
 
-import operator
 import re
 import statistics
 import time
@@ -102,8 +101,9 @@ def main() -> None:
     """Measure all shipped weights and write the table."""
     quiet_libraries()
     torch.set_num_threads(1)
-    best_first = operator.itemgetter(HEAD.index("RayIoU") - 1)  # '–' after all numbers
-    rows = sorted(((name, row_of(name)) for name in shipped()), key=lambda row: best_first(row[1]).strip("–"))[::-1]
+    place = HEAD.index("RayIoU") - 1
+    rows = [(name, row_of(name)) for name in shipped()]
+    rows.sort(key=lambda row: row[1][place].strip("–"), reverse=True)  # weights without a score come last
     source = f"`{COMMAND}`, commit {git_commit()}, one thread of {machine(torch.device('cpu'))}."
     for file, page in FILES.items():
         lines = [[f"[`{name}`]({page}#{name})", *cells] for name, cells in rows]
