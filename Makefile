@@ -81,6 +81,11 @@ ablations: $(READY)  ## Train the rows of the paper's tables, then write them (S
 
 weights: $(READY)  ## Train the weights that come with the package, for hours, and pack them with a card each (NAME=tiny: one of tools/weights)
 	$(BIN)/python tools/make_weights.py $(NAME)
+	$(BIN)/python tools/model_zoo.py
+
+pictures: $(READY)  ## Make the documentation's pictures (SURROUND_VIEW=folder: and those of a real car, docs/real_frames.md)
+	$(BIN)/python tools/pictures.py $(SURROUND_VIEW)
+	OMNIOCC_SCREENSHOTS=docs/pictures $(BIN)/python -m pytest -m browser tests/browser/test_screenshots.py
 
 RUNS ?= runs
 
@@ -93,4 +98,4 @@ dashboard-local: $(READY)  ## Show all W&B runs and stages of this machine in th
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-faults test-hostile test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard dashboard-local
+.PHONY: help setup demo test test-runs test-device test-faults test-hostile test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights pictures dashboard dashboard-local

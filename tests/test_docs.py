@@ -4,11 +4,13 @@ import importlib
 import re
 import shlex
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import yaml
 
 from omniocc.classes import CLASSES
+from omniocc.runs.weights import SHIPPED, shipped
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "omniocc"
@@ -34,6 +36,8 @@ LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 COMMAND = re.compile(r"^(?:    )?python src/train\.py(.*?)(?: +#.*)?$", re.MULTILINE)
 ROW = re.compile(r"^\| (?!\*\*|task|---)(.+?) \| (.+?) \|(.*?)\|$", re.MULTILINE)
 CODE = re.compile(r"`([^`]+)`")
+PICTURE = re.compile(r"!\[[^\]]*\]\([./\w]*pictures/([\w.]+)\)(.{,500})", re.DOTALL)
+WORDS_IN_ALL, README_LINES, LARGEST_PICTURE = 45_000, 120, 4_000_000
 
 
 def by_page(pattern: re.Pattern[str], pages: list[Path] = PAGES) -> list[tuple[str, str]]:
@@ -117,6 +121,28 @@ def test_commands_compose(overrides, composed):
     assert composed(*shlex.split(overrides)).model
 
 
+def test_commands_on_datasets_name_their_root():
+    needs = {path.stem for path in (ROOT / "conf" / "data").glob("*.yaml") if "root: ???" in path.read_text()}
+    used = re.compile(r"python src/(?:train|evaluate|check)\.py[^`\n]*\bdata=(\w+)([^`\n]*)")
+    found = [
+        (page.name, name, rest) for page in PAGES for name, rest in used.findall(page.read_text()) if name in needs
+    ]
+    assert len(found) > 5
+    assert [entry for entry in found if "data.source.root=" not in entry[2] and "..." not in entry[2]] == []
+
+
+def test_upper_bounds_that_pages_quote_are_those_of_their_table():
+    table = (ROOT / "docs" / "results" / "appendix" / "costs.md").read_text()
+    ((cylinder,), (cuboid,)) = (
+        re.findall(rf"^\| {grid} .*? (0\.\d+) \|$", table, re.MULTILINE) for grid in ("cylinder", "cuboid")
+    )
+    quoted = {
+        "docs/how_to/troubleshooting.md": f"true voxels score {cylinder} at",
+        "docs/results/appendix/breakdowns.md": f"true voxels score {cylinder} (cylinder) and {cuboid} (cuboid)",
+    }
+    assert [path for path, text in quoted.items() if text not in (ROOT / path).read_text()] == []
+
+
 def test_where_is_it_names_what_the_file_holds():
     table = (ROOT / "docs" / "where_is_it.md").read_text()
     rows = ROW.findall(table)
@@ -162,3 +188,163 @@ def test_the_results_in_the_readme_are_those_of_their_page():
     (readme,), (page,) = (marks.findall((ROOT / path).read_text()) for path in ("README.md", "docs/results/index.md"))
     assert readme == page
     assert readme.count("\n| I") + readme.count("\n| V") >= 17
+
+
+WORDS = {
+    r"\b(by|against|on) (its|their) own voxels": "voxel RayIoU",
+    r"\b(by|against) LiDAR rays|RayIoU, LiDAR": "surface RayIoU",
+    r"\bjudge[sd]?\b": "metric, score",
+    r"\blast stage\b": "occupancy stage",
+    r"\bin proportion\b": "rescaled",
+    r"\bchain\b": "pipeline",
+    r"\b(an?|the|what|its) share of\b|\bshares of\b": "fraction",
+    r"\bmoments?\b": "frame, time step",
+    r"\b(an?|the|one|per|each|every) drive\b": "sequence",
+    r"\(control\)|\bthe control\b": "baseline",
+    r"\b(test|validation|training|unseen|drawn|rendered|\d+|these|other|whole) streets?\b": "scene",
+    r"\bfigures?\b": "number, score",
+    r"\bpictures?\b": "image",
+    r"\bin small\b": "at small scale",
+}
+"""Words of this project's own, and the field's terms for them."""
+HISTORY = re.compile(
+    r"\b(no longer|formerly|previously|used to|until now|meanwhile|was overlooked|were run again|when (it|this) was "
+    r"written|since then|has become|not yet)\b"
+)
+BARE_NUMBER = re.compile(r"(?<![\w.)\]/*:])\.\d")
+SCORE = re.compile(r"(?<![\w.])\d\.\d{3}(?![\w.]*\d)")
+COMMIT = re.compile(r"\bcommit `?[0-9a-f]{7,}")
+LONGEST_WORDS, MOST_SCORES, MOST_SCORES_OF_PARAGRAPH = 40, 2, 4
+
+
+class Paragraph(NamedTuple):
+    """A paragraph or a point of a list without code and links; whether it stands below a table."""
+
+    text: str
+    below_table: bool = False
+
+    @property
+    def sentences(self) -> list[str]:
+        return re.split(r"(?<=[.!?])[*)]*\s+(?![a-z])", self.text)
+
+
+def without_code(text: str) -> str:
+    """Return Markdown without comments, blocks of code, code in lines, targets of links, and quoted words."""
+    text = re.sub(r"^```.*?^```$|<!--.*?-->", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"(?<=\n\n)( {4}[^\n]*\n)+", "", text)
+    return re.sub(r"(?<!\w)'[\w ]+'", "X", re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "`", text)))
+
+
+def paragraphs(text: str) -> list[Paragraph]:
+    """Return the prose of a page, without headings and tables."""
+    found, lines, below_table = [], [], False
+    for line in [*without_code(text).splitlines(), ""]:
+        starts = re.match(r"\s*([*+-]|\d+\.) ", line)
+        if lines and (starts or not line.strip() or line.lstrip().startswith(("|", "#"))):
+            found.append(Paragraph(" ".join(lines), below_table))
+            lines, below_table = [], False
+        if line.lstrip().startswith(("|", "#")):
+            below_table = line.lstrip().startswith("|")
+        elif line.strip():
+            lines.append(line.strip())
+    return found
+
+
+def long_sentences(text: str) -> list[str]:
+    return [one for each in paragraphs(text) for one in each.sentences if len(one.split()) > LONGEST_WORDS]
+
+
+def crowded(text: str) -> list[str]:
+    """Return sentences and paragraphs with too many scores: numbers of three decimals, so dates and sizes pass."""
+    limits = ((MOST_SCORES, lambda each: each.sentences), (MOST_SCORES_OF_PARAGRAPH, lambda each: [each.text]))
+    parts = [(one, most) for each in paragraphs(text) for most, split in limits for one in split(each)]
+    return [one for one, most in parts if len(SCORE.findall(one)) > most]
+
+
+def bare_numbers(text: str) -> list[str]:
+    return [line for line in without_code(text).splitlines() if BARE_NUMBER.search(line)]
+
+
+def commits_in_sentences(text: str) -> list[str]:
+    """Return paragraphs that name a commit neither below a table nor in brackets."""
+    inside = [(each, re.sub(r"\([^()]*\)", "", each.text)) for each in paragraphs(text) if not each.below_table]
+    return [each.text for each, rest in inside if COMMIT.search(rest)]
+
+
+def old_words(text: str) -> list[str]:
+    prose = without_code(text)
+    return [f"{found[0]} -> {new}" for old, new in WORDS.items() for found in re.finditer(old, prose)]
+
+
+def history(text: str) -> list[str]:
+    return [found[0] for found in HISTORY.finditer(without_code(text))]
+
+
+RULES = (long_sentences, crowded, bare_numbers, commits_in_sentences, old_words)
+"""Rules of CONTRIBUTING.md, section Language; each returns what breaks it."""
+BREAKS = {
+    long_sentences: "A sentence. " + "word " * 41 + "ends.",
+    crowded: "It scores 0.356 here, 0.470 there and 0.401 elsewhere.",
+    bare_numbers: "It scores .356.\n\n| a | -.011 |",
+    commits_in_sentences: "Since commit 3c8a9a5c it is better.",
+    old_words: "On 32 test streets the last stage scores more.",
+    history: "It is no longer so.",
+}
+KEEPS = """
+It scores 0.356 ± 0.003 in version 1.2.345 (commit 3c8a9a5c), `lr=.003`. One more sentence: 0.470, 0.401.
+
+| a | 0.111 | 0.222 | 0.333 |
+|---|---|---|---|
+
+Commit 3c8a9a5c, seed 0; `python src/train.py`.
+
+    python src/train.py optimizer.learning_rate=.003
+"""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
+def test_language(rule, page):
+    assert rule(page.read_text()) == []
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "results").rglob("*.md")), ids=lambda page: page.stem)
+def test_results_have_no_history(page):
+    assert page.stem == "deviations" or history(page.read_text()) == []
+
+
+@pytest.mark.parametrize("rule", BREAKS, ids=lambda rule: rule.__name__)
+def test_rules_of_language_find_what_breaks_them(rule):
+    assert rule(BREAKS[rule])
+    assert rule(KEEPS) == []
+
+
+def test_documentation_has_at_most_as_many_words_as_its_budget():
+    pages = [page for page in PAGES if page.name != "SECURITY.md" and "appendix" not in page.parts]
+    assert sum(len(page.read_text().split()) for page in pages) <= WORDS_IN_ALL
+    assert len((ROOT / "README.md").read_text().splitlines()) <= README_LINES
+
+
+def test_every_picture_is_used_and_names_the_command_that_makes_it():
+    shown = [(page, name, rest) for page in PAGES for name, rest in PICTURE.findall(page.read_text())]
+    assert len(shown) >= 10
+    files = list((ROOT / "docs" / "pictures").iterdir())
+    assert {name for _, name, _ in shown} == {path.name for path in files}
+    assert max(path.stat().st_size for path in files) < LARGEST_PICTURE
+    told = re.compile(r"`(make pictures|python tools/)|drawn by hand")
+    assert [(page.name, name) for page, name, rest in shown if not told.search(rest)] == []
+
+
+def test_weights_in_the_readme_are_those_of_their_page_and_of_the_cards():
+    """`python tools/model_zoo.py` writes both."""
+    marks = re.compile(
+        r"^<!-- Weights, written by .*? -->$.*?^<!-- End of the weights\. -->$", re.MULTILINE | re.DOTALL
+    )
+    (readme,), (page,) = (marks.findall((ROOT / path).read_text()) for path in ("README.md", "docs/weights.md"))
+    assert readme.replace("docs/weights.md#", "weights.md#") == page
+    for name in shipped():
+        (row,) = [line for line in page.splitlines() if line.startswith(f"| [`{name}`]")]
+        scores = re.findall(
+            r"^\| voxel RayIoU(?:, [\d.-]+ m)? \| (0\.\d{3}) \|$", (SHIPPED / f"{name}.md").read_text(), re.MULTILINE
+        )
+        assert [score for score in scores if f"| {score} |" not in row] == []

@@ -148,7 +148,7 @@ def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
 
 
 def test_recipes_hold_nothing_else():
-    known = {"like", "stage", "half", "overrides", "shipped", "good_for", "not_good_for"}
+    known = {"like", "stage", "half", "overrides", "shipped", "what", "use", "good_for", "not_good_for"}
     known |= {"is_start", "starts_from", "more_overrides", "frames", "occupancy", "depth"}
     for name in NAMES:
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known

@@ -1,4 +1,4 @@
-"""The documentation's images of the page: `OMNIOCC_SCREENSHOTS=docs/pictures make test-browser`."""
+"""The documentation's images of the page: `make pictures`."""
 
 import os
 import subprocess
@@ -12,7 +12,6 @@ LARGEST_BYTES = 300_000
 SHOTS = {
     "viewer_page": ({"width": 1440, "height": 1240}, "w", (2, 0.52, 0.62)),
     "viewer_page_dark": ({"width": 1440, "height": 640, "color_scheme": "dark"}, "wwca", None),
-    "viewer_page_phone": ({"width": 390, "height": 844, "device_scale_factor": 2, "has_touch": True}, "w", None),
 }
 """Size and scheme of the window, keys that are pressed, and the image and place in it that is clicked."""
 

@@ -19,8 +19,8 @@ FIRST = "preset=tiny, 40 steps, data "
 AGAINST_DENSE = [
     "Warning: my_refiner and dense differ in steps of depth/sketch/model (8/5/40 and –/–/40).",
     # stats.ttest_ind([.33, .36, .36], [.20, .21], equal_var=False), and of half the scores
-    "voxel RayIoU    gap +0.145 ± 0.011 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
-    "surface RayIoU  gap +0.072 ± 0.006 (3 and 2 seeds), p .0014 (.0029): my_refiner is ahead of dense",
+    "voxel RayIoU    gap +0.145 ± 0.011 (3 and 2 seeds), p 0.0014 (0.0029): my_refiner is ahead of dense",
+    "surface RayIoU  gap +0.072 ± 0.006 (3 and 2 seeds), p 0.0014 (0.0029): my_refiner is ahead of dense",
 ]
 
 
@@ -51,9 +51,9 @@ def test_rows_of_one_depth_network_are_compared_by_seed_and_others_by_welch(made
     setting, *lines = compare(capsys, made, "my_refiner", "omnidepth_occ", "dense")
     assert setting.startswith(FIRST)
     assert lines == [
-        "voxel RayIoU    gap +0.030 ± 0.006 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
+        "voxel RayIoU    gap +0.030 ± 0.006 (3 seeds of both, paired), p 0.035 (0.035): my_refiner is ahead of "
         "omnidepth_occ",
-        "surface RayIoU  gap +0.015 ± 0.003 (3 seeds of both, paired), p .035 (.035): my_refiner is ahead of "
+        "surface RayIoU  gap +0.015 ± 0.003 (3 seeds of both, paired), p 0.035 (0.035): my_refiner is ahead of "
         "omnidepth_occ",
         *AGAINST_DENSE,
         "In brackets: p adjusted for 2 comparisons (Holm), which decides.",
@@ -62,14 +62,14 @@ def test_rows_of_one_depth_network_are_compared_by_seed_and_others_by_welch(made
 
 def test_two_rows_need_no_adjustment_and_a_title_is_a_name(made, capsys):
     lines = compare(capsys, made, "OmniDepth-Occ", "my_refiner")[1:]
-    assert [line.split("paired), ")[1] for line in lines] == ["p .035: OmniDepth-Occ is behind my_refiner"] * 2
+    assert [line.split("paired), ")[1] for line in lines] == ["p 0.035: OmniDepth-Occ is behind my_refiner"] * 2
 
 
 def test_adjusted_p_values_decide(made, capsys):
     """Two comparisons have p = .0351, so that each has .0702 among both."""
     lines = compare(capsys, made, "my_refiner", "ours", "again")[1:-1]
     assert [line.split("paired), ")[1] for line in lines] == [
-        f"p .035 (.07): undecided between my_refiner and {row}" for row in ("ours", "ours", "again", "again")
+        f"p 0.035 (0.07): undecided between my_refiner and {row}" for row in ("ours", "ours", "again", "again")
     ]
 
 

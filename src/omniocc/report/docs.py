@@ -8,7 +8,7 @@ from pathlib import Path
 from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write, read_bytes, text_of
 from omniocc.progress import Progress
-from omniocc.report.chapters import SPREAD, bounds_part, budget_part
+from omniocc.report.chapters import BOUNDS_NOTE, SPREAD, bounds_part, budget_part
 from omniocc.report.datasets import dataset_csv, dataset_part
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
@@ -20,8 +20,8 @@ from omniocc.report.tables.learning_rates import learning_rates_csv
 from omniocc.report.tables.names import method_names, named
 from omniocc.report.tables.paper import PAGES, PAPER, PaperTable, as_csv, table_cells
 from omniocc.report.tables.power import power_csv
-from omniocc.report.tables.protocol import protocol_lines
-from omniocc.report.tables.results import COMMAND, of_paper, results_lines
+from omniocc.report.tables.protocol import protocol_list
+from omniocc.report.tables.results import COMMAND, of_paper, remark_lines, results_lines
 from omniocc.report.tables.tried import tried_csv
 from omniocc.report.tables.verdicts import CSV_HEAD, csv_lines, verdicts_parts
 
@@ -54,7 +54,9 @@ MORE = (
     "[runs of other presets](csv/presets.csv), [learning curves](csv/training.csv), [changes that were tried]"
     "(csv/tried.csv), [learning rates](csv/learning_rates.csv), [seeds that a gap needs](csv/power.csv).",
 )
-MEANS = "Means over seeds; the figures 'here' are of the runs of this repository."
+MEANS = "Means over seeds. Scores 'here' are of the runs of this repository."
+COUNTED_TITLE = "How scores are counted"
+COUNTED = f"[{COUNTED_TITLE}]({{}}{PAPER}.md#{COUNTED_TITLE.lower().replace(' ', '-')})."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 
 
@@ -62,7 +64,7 @@ def write_documentation(sweeps: Sequence[Sweep], folder: Path, root: Path) -> No
     """Write pages, CSV and learning curves of all results; for `docs/results` below `root` the README's results too."""
     write_docs(sweeps, folder)
     if folder.resolve() == root / "docs" / "results":
-        write_results_into(root / "README.md", sweeps[0])
+        write_block(root / "README.md", results_block(sweeps[0]))
     draw_curves(sweeps[0], folder)
 
 
@@ -144,11 +146,13 @@ def page_text(page: str, compose: Callable[[], str]) -> str:
 
 def results_page(sweep: Sweep) -> str:
     """Return the page of all results; empty without a table of the paper."""
-    return "\n\n".join(["\n".join(results_block(sweep)), *MORE]) if of_paper(sweep) else ""
+    if not of_paper(sweep):
+        return ""
+    return "\n\n".join(["\n".join(results_block(sweep)), "\n".join(remark_lines(sweep)), *MORE])
 
 
 def tables_page(page: str, sweep: Sweep) -> str:
-    """Return the tables of a page, means alone, each with its note and runs below; then how scores were counted."""
+    """Return the tables of a page, means alone, each with its note and runs below."""
     tables = [table for table in sweep.tables if table.page == page]
     root = "../" * page.count("/")
     parts = [dataset_part(table) for table in sweep.datasets] if page == PAPER else []
@@ -161,19 +165,26 @@ def tables_page(page: str, sweep: Sweep) -> str:
         )
         for table in tables
     ]
-    keys = dict.fromkeys(key for table in tables for key in table.columns)
+    counted = counted_text(sweep) if page == PAPER else COUNTED.format(root)
+    return "\n\n".join([MEANS, parts_text(parts), counted]) if tables else ""
+
+
+def counted_text(sweep: Sweep) -> str:
+    """Return how the scores of all tables were counted, as a section of a page."""
+    keys = dict.fromkeys(key for table in sweep.tables for key in table.columns)
     names = method_names(sweep.tables)
-    rows = {named(row, names): runs for row, runs in rows_in(tables, sweep.table_rows).items()}
-    counted = protocol_lines(rows, keys)
-    return "\n\n".join([MEANS, parts_text(parts), *counted]) if tables else ""
+    rows = {named(row, names): runs for row, runs in rows_in(sweep.tables, sweep.table_rows).items()}
+    return "\n\n".join([f"## {COUNTED_TITLE}", "The same for all pages of results.", *protocol_list(rows, keys)])
 
 
 def source(table: PaperTable, sweep: Sweep) -> str:
     """Return a sentence on the runs of a table: their number, seeds and hours."""
     runs = {run.name: run for runs in rows_in([table], sweep.table_rows).values() for run in runs}.values()
-    seeds = sorted({str(run.facts.get("seed", "?")) for run in runs})
+    seeds = sorted({str(run.facts.get("seed", "?")) for run in runs}, key=lambda seed: (len(seed), seed))
     hours = sum(map(minutes_in_all, runs)) / 60
-    return f"{len(runs)} runs, seeds {', '.join(seeds)}, {hours:.1f} hours of training."
+    following = len(seeds) > 2 and seeds == [str(seed) for seed in range(len(seeds))]
+    ends = f"0 to {seeds[-1]}" if following else ", ".join(seeds)
+    return f"{len(runs)} runs, seeds {ends}, {hours:.1f} hours of training."
 
 
 def robustness_page(sweep: Sweep) -> str:
@@ -191,14 +202,16 @@ def claims_page(sweep: Sweep) -> str:
     changes = training.changes_part(sweep)
     image = f"![Validation RayIoU over the steps](../{CURVES_IMAGE})"
     curves = f"## {training.CURVES_TITLE}\n\n{image}\n\n{training.CURVES}"
-    files = "All figures, for every number of steps: [claims.csv](../csv/claims.csv)."
+    files = "All numbers, for every number of steps: [claims.csv](../csv/claims.csv)."
     shown = [curves] if training.runs_by_row(sweep) else []
     return "\n\n".join([f"{SPREAD} {files}", parts_text([*parts, *changes]), *shown]) if parts else ""
 
 
 def costs_page(sweep: Sweep) -> str:
     """Return what the rows of the tables cost, and the bounds of scores on each grid."""
-    return parts_text([budget_part(sweep, rows_in(sweep.tables, sweep.table_rows)), bounds_part(sweep)])
+    bounds = bounds_part(sweep)._replace(note=BOUNDS_NOTE)
+    parts = [budget_part(sweep, rows_in(sweep.tables, sweep.table_rows)), bounds]
+    return "\n\n".join([parts_text(parts), COUNTED.format("../")])
 
 
 def claims_csv(sweep: Sweep) -> str:
@@ -222,16 +235,16 @@ def results_block(sweep: Sweep) -> list[str]:
     return [BEGIN, *results_lines(sweep), END]
 
 
-def write_results_into(path: Path, sweep: Sweep) -> None:
-    """Write the results into a Markdown file in place of those that it has.
+def write_block(path: Path, block: Sequence[str]) -> None:
+    """Write lines into a Markdown file in place of those between the same marks, the first and last of the lines.
 
     Raises:
         DataError: naming the file that cannot be read or written.
-        UserError: if the file has no place for them.
+        UserError: if the file has no such marks.
     """
-    lines = text_of(read_bytes(path)).splitlines()
-    first = lines.index(BEGIN) if BEGIN in lines else len(lines)
-    if END not in lines[first:]:
-        raise UserError(f"{path} has no place for the results; add two lines, {BEGIN} and below it {END}")
-    lines[first : lines.index(END, first) + 1] = results_block(sweep)
+    (begin, *_, end), lines = block, text_of(read_bytes(path)).splitlines()
+    first = lines.index(begin) if begin in lines else len(lines)
+    if end not in lines[first:]:
+        raise UserError(f"{path} has no place for the results; add two lines, {begin} and below it {end}")
+    lines[first : lines.index(end, first) + 1] = block
     atomic_write(path, "\n".join([*lines, ""]))

@@ -165,7 +165,7 @@ def test_rows_without_printed_figures_have_claims_of_their_own(tmp_path):
     (found,) = verdicts_of([table], runs).values()
     assert found.none == pytest.approx(0.12690, abs=1e-5)
     first, not_run = cells(table, runs, VOXEL_RAYIOU)
-    told = ["mine ahead of plain", "Mine", "undecided", "+0.100 ± 0.010", "–", "–", "–", "2 and 2", ".063 (.13)", "–"]
+    told = ["mine ahead of plain", "Mine", "undecided", "+0.100 ± 0.010", "–", "–", "–", "2 and 2", "0.063 (0.13)", "–"]
     assert first == told
     assert not_run == ["mine ahead of paper's", "Mine", "not run", *["–"] * 7]
     same = {"mine": row("mine", 0.30, 0.34), "plain": row("plain", 0.20, 0.24)}
@@ -242,7 +242,7 @@ def test_a_claim_has_a_line_in_the_table_of_each_metric():
     apart = stats.ttest_ind(better, other, equal_var=False)
     p_size = stats.t(apart.df).cdf((0.075 - 0.0245106) / 0.0206155)
     # four claims of the table, of which one has run
-    tests = [f".{100 * apart.pvalue:.0f} (.{400 * apart.pvalue:.0f})", f".{100 * p_size:.0f} (1)"]
+    tests = [f"0.{100 * apart.pvalue:.0f} (0.{400 * apart.pvalue:.0f})", f"0.{100 * p_size:.0f} (1)"]
     title = ["Sketch ahead of all voxels", "Table VI"]
     gaps = ["+0.075 ± 0.021", "+0.036", "+0.025", "–"]
     assert first == [*title, "undecided", *gaps, "2 and 2", *tests]

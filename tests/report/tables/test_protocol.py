@@ -5,7 +5,7 @@ from pathlib import Path
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.claims import verdicts_of
 from omniocc.report.tables.paper import load_table
-from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_text
+from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_list, protocol_text
 from omniocc.report.tables.verdicts import verdicts_parts
 
 RAYS = {"rayiou": "rays from the ego origin", "voxel": "cells"}
@@ -47,6 +47,18 @@ def test_a_line_that_says_more_at_its_end_holds_for_both():
     assert protocol_lines(rows, ["test/lidar/rayiou"]) == [
         f"Surface RayIoU (all rows but other): {now}.",
         "Surface RayIoU (other): rays; mean over classes and more.",
+    ]
+
+
+def test_pages_have_short_points_and_count_the_rows_without_a_record():
+    told = {"rayiou": "rays from the ego origin; correct: same class; mIoU: mean"}
+    rows = {"ours": runs(told), "mono": runs(told), "old": runs(None)}
+    points = "* Rays from the ego origin.\n* Correct: same class.\n* mIoU: mean."
+    assert protocol_list(rows, KEYS) == [f"**Voxel RayIoU**\n\n{points}\n* Not recorded for 1 of 3 rows."]
+    rows["other"] = runs(OTHER)
+    assert [text.splitlines()[-1] for text in protocol_list(rows, KEYS[:1])] == [
+        "* These rows: ours, mono.",
+        "* These rows: other.",
     ]
 
 

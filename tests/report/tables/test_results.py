@@ -7,9 +7,9 @@ from fake_scene import FakeWorld
 from fake_sweep import CYLINDER, DENSE, OMNI, write_run
 
 from omniocc.errors import UserError
-from omniocc.report.docs import BEGIN, END, write_docs, write_results_into
+from omniocc.report.docs import BEGIN, END, results_block, write_block, write_docs
 from omniocc.report.sweep import Sweep, read_sweeps
-from omniocc.report.tables.results import results_lines
+from omniocc.report.tables.results import remark_lines, results_lines
 
 ROOT = Path(__file__).parents[3]
 SPREAD = (-0.001, 0.0, 0.001)
@@ -77,23 +77,22 @@ def test_the_headline_counts_what_holds(sweep):
     assert first.startswith(
         "**3 of the paper's 17 claims hold here, 1 does not, 1 is undecided, 12 have not run.** A re-"
     )
-    assert first.endswith(
-        "`preset=tiny`, 1,000 steps of occupancy training, 3 seeds. "
-        "After 10,000 steps of occupancy training, 3 seeds: 1 holds, 16 have not run."
-    )
+    assert first.endswith("`preset=tiny`, 1,000 steps of occupancy training, 3 seeds.")
+    more = "* 10x steps: 10,000 steps of occupancy training, 3 seeds. 1 claim holds, 16 have not run."
+    assert more in remark_lines(sweep)
 
 
 def test_without_more_steps_the_table_has_no_column_of_them(sweep):
     lines = results_lines(sweep._replace(longer=[]))
     assert "| Table | Claim | Paper | Here | Verdict | Equal budget |" in lines
-    assert "After" not in lines[0]
+    assert not any("10x steps" in line for line in [*lines, *remark_lines(sweep._replace(longer=[]))])
 
 
 def test_unknown_steps_are_named_so(sweep):
     runs = [run._replace(facts={key: run.facts[key] for key in ("seed", "preset", "data")}) for run in sweep.runs]
     lines = results_lines(sweep._replace(runs=runs))
     assert "| Table | Claim | Paper | Here | Verdict | Equal budget | 10,000 steps |" in lines
-    assert "`preset=tiny`, unknown steps of occupancy training, 3 seeds. " in lines[0]
+    assert lines[0].endswith("`preset=tiny`, unknown steps of occupancy training, 3 seeds.")
 
 
 def test_distance_shows_the_paper_beside_ours(sweep):
@@ -102,11 +101,11 @@ def test_distance_shows_the_paper_beside_ours(sweep):
 
 
 def test_reasons_stand_where_a_claim_does_not_hold_and_a_wrong_one_is_named(sweep):
-    reasons = [line.strip(" *").partition(":")[0] for line in results_lines(sweep) if line.startswith("  * ")]
+    reasons = [line.strip(" *").partition(":")[0] for line in remark_lines(sweep) if line.startswith("  * ")]
     assert reasons == ["Temporal fusion helps", "Dilation helps"]
     mistyped = [table._replace(reasons={"Fusion helps": "why"}) for table in sweep.tables if table.number == 4]
     with pytest.raises(UserError, match="semantic_temporal: reasons has 'Fusion helps'"):
-        results_lines(sweep._replace(tables=mistyped))
+        remark_lines(sweep._replace(tables=mistyped))
 
 
 def test_tables_that_are_not_the_papers_give_no_results(sweep, tmp_path):
@@ -118,11 +117,11 @@ def test_tables_that_are_not_the_papers_give_no_results(sweep, tmp_path):
 def test_results_are_written_between_their_marks_alone(sweep, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(f"{END}\nbefore\n{BEGIN}\nold\n{END}\nafter\n")
-    write_results_into(page, sweep)
+    write_block(page, results_block(sweep))
     written = "\n".join([END, "before", BEGIN, *results_lines(sweep), END, "after", ""])
     assert page.read_text() == written
-    write_results_into(page, sweep)
+    write_block(page, results_block(sweep))
     assert page.read_text() == written
     page.write_text(f"{END}\n{BEGIN}\n")
     with pytest.raises(UserError, match=r"page\.md has no place for the results"):
-        write_results_into(page, sweep)
+        write_block(page, results_block(sweep))

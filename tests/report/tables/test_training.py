@@ -80,7 +80,7 @@ def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
         "+0.051 ± 0.001",
         "holds",
         "+0.151 ± 0.001",
-        ".0042 (.017)",
+        "0.0042 (0.017)",
         "yes",
     ]
 

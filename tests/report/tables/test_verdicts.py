@@ -47,7 +47,7 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
     *_, (_, title, _, (_, lines)) = verdicts_parts([part], runs, decided)
     assert title == "Claims by paired differences"
     wo_dilation, random = lines
-    assert wo_dilation[3:] == ["undecided", "undecided", "-0.006 ± 0.029", ".86 (1)", "3"]
+    assert wo_dilation[3:] == ["undecided", "undecided", "-0.006 ± 0.029", "0.86 (1)", "3"]
     assert random[:3] == ["Sketch ahead of random voxels", "Table VI", "voxel RayIoU"]
     assert random[3:6] == ["undecided", "holds", "+0.100 ± 0.000"]
     (line, other) = (dict(zip(CSV_HEAD, each, strict=True)) for each in csv_lines([part], runs, decided, "1000"))

@@ -286,4 +286,4 @@ def p_cell(p_value: float, adjusted: float) -> str:
 
 def p_text(p_value: float) -> str:
     """Return a p-value for a table, with two digits that count."""
-    return "<.0001" if p_value < 1e-4 else f"{p_value:.2g}".removeprefix("0") if p_value < 1 else "1"
+    return "<0.0001" if p_value < 1e-4 else f"{p_value:.2g}" if p_value < 1 else "1"

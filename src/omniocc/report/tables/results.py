@@ -39,14 +39,16 @@ DIFFERENCES = (
     "A re-implementation at small scale. Its data are a virtual world, not CARLA. It has an eighth of the "
     "paper's voxels and trains the occupancy stage for 2.8 epochs, not 40."
 )
-REMARKS = (
+LEGEND = (
     "✅ holds on both metrics. ☑ holds on the paper's metric only. ❌ is refuted on the paper's metric: the sign is "
     "opposite, or a gain of the paper's size is excluded. ❓ is undecided, with too few seeds. "
-    f"{NOT_TESTED} has not run or was not tested. {SAME} marks methods with equal numbers of steps.",
+    f"{NOT_TESTED} has not run or was not tested. {SAME} marks methods with equal numbers of steps."
+)
+REMARKS = (
     "Metrics: voxel RayIoU (`test/rayiou`) is the paper's. Surface RayIoU (`test/lidar/rayiou`) casts rays to the true "
     "surfaces.",
-    "Numbers: a gap in voxel RayIoU, and in brackets the mean scores of both methods over their seeds. Methods that "
-    "share networks of a seed are compared within seeds, so that a gap can differ from these scores in the last digit.",
+    "Numbers: the gap in voxel RayIoU, and in brackets the mean scores of both methods. Methods that use the same "
+    "depth network are compared within seeds, so a gap can differ from these scores in the last digit.",
     "Equal budget: methods without training of depth and sketch train for as many steps as OmniDepth-Occ "
     "in all, and BEVDet learns from true ranges too.",
 )
@@ -81,17 +83,14 @@ class Verdict(NamedTuple):
 
 
 def results_lines(sweep: Sweep) -> list[str]:
-    """Return headline, two tables and remarks as lines of Markdown, without links, so that any file can hold them.
+    """Return headline, two tables and the meaning of symbols as lines of Markdown, which any file can hold.
 
     They are empty if no table is the paper's.
-
-    Raises:
-        UserError: if a table gives the reason of something that it does not claim.
     """
     claims = planned_claims(of_paper(sweep), VOXEL_RAYIOU)
     if not claims:
         return []
-    longest = list(by_steps(sweep).values())[1:][-1:]
+    longest = _longest(sweep)
     here, *after = [verdicts_in(each, of_paper(each), claims) for each in (sweep, *longest)]
     head = ["Table", "Claim", "Paper", "Here", "Verdict", "Equal budget", *(_times(sweep, each) for each in longest)]
     lines = [
@@ -99,12 +98,28 @@ def results_lines(sweep: Sweep) -> list[str]:
         for cells, *rest in zip(_first_cells(sweep, claims, here), *after, strict=True)
     ]
     told = [headline(here), DIFFERENCES, f"`preset={sweep.runs[0].setting[0]}`, {_training(sweep)}."]
-    told += [
-        f"After {_training(more)}: {', '.join(counted(found))}." for more, found in zip(longest, after, strict=True)
-    ]
-    remarks = [*(f"* {line}" for line in REMARKS), *reason_lines(claims, here), f"* {AGAIN}"]
-    parts = [" ".join(told), markdown(head, lines), distance_text(sweep), "\n".join(remarks)]
+    parts = [" ".join(told), markdown(head, lines), distance_text(sweep), LEGEND]
     return "\n\n".join(part.strip() for part in parts if part).splitlines()
+
+
+def remark_lines(sweep: Sweep) -> list[str]:
+    """Return what the numbers are, the counts after more steps, and why claims do not hold, as a list in Markdown.
+
+    Raises:
+        UserError: if a table gives the reason of something that it does not claim.
+    """
+    claims = planned_claims(of_paper(sweep), VOXEL_RAYIOU)
+    here, *after = [verdicts_in(each, of_paper(each), claims) for each in (sweep, *_longest(sweep))]
+    more = [
+        f"* {_times(sweep, each)}: {_training(each)}. {_sentence(counted(found))}"
+        for each, found in zip(_longest(sweep), after, strict=True)
+    ]
+    return [*(f"* {line}" for line in REMARKS), *more, *reason_lines(claims, here), f"* {AGAIN}"]
+
+
+def _longest(sweep: Sweep) -> list[Sweep]:
+    """Return the runs with most steps, if they have more than those of the sweep."""
+    return list(by_steps(sweep).values())[1:][-1:]
 
 
 def of_paper(sweep: Sweep) -> list[PaperTable]:
@@ -149,6 +164,13 @@ def _training(sweep: Sweep) -> str:
     seeds = sorted({len(runs) for runs in rows.values()})
     ends = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))) if seeds else "no"
     return f"{_in_thousands(sweep.runs[0].setting[1])} of occupancy training, {ends} seed{'s' * (ends != '1')}"
+
+
+def _sentence(counts: Sequence[str]) -> str:
+    """Return counts of claims in words as a sentence."""
+    first, *others = counts
+    number, _, verb = first.partition(" ")
+    return ", ".join([f"{number} {'claim' if number == '1' else 'claims'} {verb}", *others]) + "."
 
 
 def _in_thousands(steps: str) -> str:
