@@ -1,14 +1,15 @@
 """A rendered scene, written as a log by py123d's own writer and recorded from it, is the same scene."""
 
+import json
 import sys
 from dataclasses import replace
 
-import msgpack
 import numpy as np
 import pytest
 import torch
 from log_files import built
 from scipy.spatial import cKDTree
+from scripts import run_script
 
 from omniocc.camera import MEI, Pinhole
 from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
@@ -207,6 +208,7 @@ def test_mistakes_are_named(log, record, tmp_path):
 
 
 def test_a_log_imports_no_module_but_the_librarys(log, record, tmp_path):
+    import msgpack
     import pyarrow
 
     folder = tmp_path / "hostile"
@@ -228,3 +230,31 @@ def test_a_log_imports_no_module_but_the_librarys(log, record, tmp_path):
     finally:
         sys.path.remove(str(tmp_path))
     assert "evil" not in sys.modules
+
+
+@pytest.mark.whole_runs
+@pytest.mark.slow
+def test_a_log_is_recorded_trained_on_predicted_and_scored(log, tmp_path):
+    def run(script, *arguments):
+        done = run_script(script, *arguments, cwd=tmp_path)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    for name in ("train-000", "val-000", "test-000"):
+        given = "recorder=py123d", f"recorder.log={log}", f"recorder.name={name}", "recorder.origin_above_road_m=2.2"
+        said = run("record.py", *given, "output=scenes")
+    assert "data.num_classes=13" in said
+    data = "data=recorded", "data.source.root=scenes", "data.num_classes=13", "data.ignore=unobserved"
+    steps = [f"stages.{stage}.max_steps=2" for stage in ("depth", "sketch", "occupancy")]
+    run("train.py", "preset=smoke", *data, *steps, "trainer.accelerator=cpu", "logger.mode=disabled")
+    (run_folder,) = tmp_path.glob("runs/train-*")
+    scores = json.loads((run_folder / "metrics.json").read_text())["metrics"]
+    assert {"test/rayiou", "test/rayiou/vehicle", "test/depth/mae"} <= set(scores)
+    assert scores["label/voxel/iou"] == 1.0
+    (checkpoint,) = run_folder.glob("**/best.ckpt")
+    run("predict.py", "occupancy", f"checkpoint={checkpoint}", "recorded=scenes/test-000", "output=out", "mesh=false")
+    labels = np.load(tmp_path / "out" / "test-000" / "000001" / "voxels.npz")["labels"]
+    assert set(np.unique(labels)) <= {*range(13), UNKNOWN}
+    predicted = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    print(json.dumps(predicted)[:600])
+    assert predicted
