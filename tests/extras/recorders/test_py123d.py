@@ -18,9 +18,10 @@ from omniocc.data import DataError, SceneReader
 from omniocc.data.formats.dataset_scene import outside
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.check import check_scene
-from omniocc.errors import UserError, installing
+from omniocc.errors import UserError
+from omniocc.extras.recorders.py123d import INSTALL
 
-pytest.importorskip("py123d", reason=f"the library py123d is not installed: {installing('py123d')}")
+pytest.importorskip("py123d", reason=INSTALL)
 
 from py123d_files import (
     CAR_M,

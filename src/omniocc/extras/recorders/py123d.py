@@ -4,10 +4,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from omniocc.errors import UserError, installing
+from omniocc.errors import UserError
 from omniocc.extras.recorders.log import Log, Timing
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 
+INSTALL = "the library py123d is missing: docs/datasets/py123d.md installs the extra `py123d` (Python 3.11 to 3.13)"
 SYNC = "sync.arrow"
 """File that every log of the library has."""
 
@@ -68,7 +69,7 @@ class Py123dLog(LogRecorder):
         try:
             from omniocc.extras.recorders.py123d_reader import Py123dReader
         except ImportError as error:
-            raise UserError(f"logs of py123d are read by this library: {installing('py123d')}") from error
+            raise UserError(INSTALL) from error
         if not (self.folder / SYNC).is_file():
             raise UserError(f"log={self.folder}: there is no {SYNC}; give the folder of one log of py123d")
         reader = Py123dReader(self.folder, self.cameras)
