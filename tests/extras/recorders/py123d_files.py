@@ -1,5 +1,6 @@
 """Write a recorded scene as a log of py123d, by the library's own writer, so that the files have its form, not ours."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from py123d.datatypes import (
 )
 from py123d.geometry import BoundingBoxSE3, PoseSE3, Vector3D
 from py123d.parser.base_dataset_parser import ModalitiesSync
+from py123d.parser.kitti360.kitti360_parser import Kitti360Parser
 from py123d.parser.lidar_segmentation_registry import NuScenesLidarSegmentationLabel as Label
 
 from omniocc.camera import MEI, FTheta
@@ -43,6 +45,8 @@ from omniocc.data.store.codec import decode_frame
 START_US = 1_700_000_000_123_456
 BOXES_US = -10_000
 """Boxes are this much later than the scan: earlier."""
+SCANS_US = {"virtual": (0, 100_000), "kitti360": (-50_000, 50_000), "nuscenes": (-50_000, 0)}
+"""Start and end of a scan around the time of its points, as the library's parsers of these datasets state them."""
 IMU_FROM_EGO = np.array([[0.0, -1, 0, 0.5], [1, 0, 0, -0.25], [0, 0, 1, 0.75], [0, 0, 0, 1]])
 """The IMU is mounted with a quarter turn; the rear axle's frame has the axes of the car."""
 REAR_AXLE_M = (-1.25, 0.0, -1.5)
@@ -155,11 +159,11 @@ def frame_of(scene: SceneReader, frame: int):
     return decode_frame(scene.read(frame, scene.index.members))
 
 
-def write_py123d(scene: SceneReader, root: Path, labels=Label, store: str = "png_binary") -> Path:
+def write_py123d(scene: SceneReader, root: Path, labels=Label, dataset: str = "virtual") -> Path:
     """Write the whole scene as one log and return its folder."""
-    config = LogWriterConfig(camera_store_option=store, lidar_store_option="binary", lidar_codec="ipc_zstd")
+    config = LogWriterConfig(camera_store_option="png_binary", lidar_store_option="binary", lidar_codec="ipc_zstd")
     writer = ArrowLogWriter(config, root / "logs", root / "sensors")
-    writer.reset(LogMetadata("virtual", "virtual_train", "town", "town"))
+    writer.reset(LogMetadata(dataset, f"{dataset}_train", "town", "town"))
     car, rig = car_metadata(scene.rig.road_z_m), scene.rig
     poses = IMU_FROM_EGO @ rig.ego_from_camera.numpy()
     views = [camera_metadata(*view) for view in zip(rig.names, rig.cameras, poses, strict=True)]
@@ -173,8 +177,34 @@ def write_py123d(scene: SceneReader, root: Path, labels=Label, store: str = "png
             Camera(view, image, pose(world_from_imu @ imu_from_camera), stamp(scene, frame, 1000 * k))
             for k, (view, image, imu_from_camera) in enumerate(zip(views, scene.images(frame), poses, strict=True))
         ]
-        scan = Lidar(now, now, lidar_metadata(labels), points_m.astype(np.float32), features)
+        start, end = (stamp(scene, frame, late_us) for late_us in SCANS_US[dataset])
+        scan = Lidar(start, end, lidar_metadata(labels), points_m.astype(np.float32), features)
         state = EgoStateSE3.from_imu(pose(world_from_imu), car, now)
         writer.write_sync(ModalitiesSync(now, [state, boxes_of(scene, frame), *cameras, scan]))
     writer.close()
-    return root / "logs" / "virtual_train" / "town"
+    return root / "logs" / f"{dataset}_train" / "town"
+
+
+def convert_kitti360(root: Path, place: Path) -> Path:
+    """Convert a small KITTI-360 of our tests by the library's own parser, and return the folder of its first log."""
+    (name,) = (path.name for path in (root / "data_2d_raw").iterdir())
+    calibration, raw = root / "calibration" / "perspective.txt", root / "data_2d_raw" / name
+    calibration.write_text(calibration.read_text() + "\nS_rect_01: 1408 376\n")
+    streams = [raw / f"image_0{number}" for number in range(4)]
+    numbers = sorted(path.stem for path in (streams[0] / "data_rect").iterdir())
+    stamps = "".join(f"2013-05-28 08:46:02.{int(number):01d}00000000\n" for number in numbers)
+    shutil.copytree(streams[0] / "data_rect", streams[1] / "data_rect")
+    for folder in (*streams, root / "data_3d_raw" / name / "velodyne_points"):
+        (folder / "timestamps.txt").write_text(stamps)
+    boxes = root / "data_3d_bboxes" / "train" / f"{name}.xml"
+    boxes.parent.mkdir(parents=True)
+    boxes.write_text("<?xml version='1.0'?>\n<opencv_storage>\n</opencv_storage>\n")
+    parser = Kitti360Parser(["kitti360_train"], root, place / "cache", 80.0, [name], [], [])
+    (log,) = parser.get_log_parsers()
+    config = LogWriterConfig(camera_store_option="png_binary", lidar_store_option="binary", lidar_codec="ipc_zstd")
+    writer = ArrowLogWriter(config, place / "logs", place / "sensors")
+    writer.reset(log.get_log_metadata())
+    for modalities in log.iter_modalities_sync():
+        writer.write_sync(modalities)
+    writer.close()
+    return place / "logs" / "kitti360_train" / name

@@ -18,6 +18,7 @@ import pyarrow
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from py123d.api.scene.arrow.arrow_scene_api import ArrowSceneAPI
+from py123d.api.scene.arrow.modalities.sync_utils import get_modality_table
 from py123d.datatypes import (
     BaseCameraMetadata,
     BoxDetectionSE3,
@@ -66,6 +67,12 @@ CLASSES = ClassTable(
 """The library's classes of points with its ids; 'ignore' is 255 with us, so that 0 is free."""
 OF_BOX = {"TRAIN": "vehicle", "TRAFFIC_SIGN": "manmade", "TRAFFIC_LIGHT": "manmade"}
 """Classes of the library's boxes, by name, whose points are of a class with another name; unknown ones are 'other'."""
+STAMPED_AT = {"kitti360": 0.5, "nuscenes": 1.0}
+"""Where between the start (0) and the end (1) of a scan the time is to which a dataset gives its points and poses.
+
+The library (0.7.0) takes the dataset's stamp for the start of a scan, but for KITTI-360 for its middle and for nuScenes
+for its end.
+"""
 ANY, MERGED = "any", "lidar_merged"
 LABEL_CLASS = "label_class"
 """End of the keys whose values name a class of Python, which the library imports."""
@@ -175,6 +182,7 @@ class Py123dReader:
         sensor, metadata = self._lidar(lidar)
         stamps, labels_of = self._stamps("the LiDAR", "lidar", sensor), classes_of_ids(metadata) if classes else None
         where = [f"{self.folder}: {sensor} at {stamp_us} us" for stamp_us in stamps]
+        times_us = stamps + STAMPED_AT.get(self.facts["dataset"], 0.0) * self._span_us(sensor)
 
         def read(number: int) -> Points:
             with reading(where[number]):
@@ -191,25 +199,25 @@ class Py123dReader:
         position_m = (self.ego_from_imu @ pose_of(metadata[0].lidar_to_imu_se3))[:3, 3]
         table = OCCUPANCY_CLASSES if labels_of is None else CLASSES
         if not boxes or self.scene.get_box_detections_se3_metadata() is None:
-            return Scans(stamps / 1e6, read, where.__getitem__, table, position_m)
+            return Scans(times_us / 1e6, read, where.__getitem__, table, position_m)
         boxed = self._stamps("the boxes", "box_detections_se3", None)
-        places = nearest(boxed / 1e6, stamps / 1e6, limit_s)
+        places = nearest(boxed / 1e6, times_us / 1e6, limit_s)
         kept = np.flatnonzero(places != MISSING)
         if not kept.size:
             raise UserError(f"boxes: none is within limit_s={limit_s:g} of a scan; boxes=false records without them")
-        world_from_ego, _ = interpolate(*self.poses(), stamps / 1e6, limit_s)
+        world_from_ego, _ = interpolate(*self.poses(), times_us / 1e6, limit_s)
 
         def read_boxes(number: int) -> tuple[Box, ...]:
             scan = int(kept[number])
             stamp_us = int(boxed[places[scan]])
             with reading(f"{self.folder}: boxes at {stamp_us} us"):
                 found = _there(self.scene.get_box_detections_se3_at_timestamp(stamp_us)).box_detections
-                late_s = (int(stamps[scan]) - stamp_us) / 1e6
+                late_s = float(times_us[scan] - stamp_us) / 1e6
                 there = [box for box in found if box.attributes.default_label.name != "EGO"]
                 return tuple(ego_box(box, late_s, inverse(world_from_ego[scan]), table) for box in there)
 
         return Scans(
-            stamps[kept] / 1e6,
+            times_us[kept] / 1e6,
             lambda number: read(int(kept[number])),
             lambda number: where[kept[number]],
             table,
@@ -224,6 +232,13 @@ class Py123dReader:
         if not found:
             raise DataError(f"{self.folder}: {what} has no samples")
         return np.unique(np.array([stamp.time_us for stamp in found], np.int64))
+
+    def _span_us(self, sensor: str) -> float:
+        """Return the time that a scan takes, us."""
+        with reading(f"{self.folder}: {sensor}"):
+            table = _there(get_modality_table(self.folder, f"lidar.{sensor}"))
+            start, end = (table[f"lidar.{sensor}.{name}timestamp_us"].to_numpy() for name in ("", "end_"))
+            return float(np.median(end - start))
 
     def _lidar(self, lidar: str) -> tuple[str, list[LidarMetadata]]:
         """Return the name of a LiDAR, and what the log states of it, or of all that it merges, the upper one first."""
