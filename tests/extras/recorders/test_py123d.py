@@ -281,4 +281,4 @@ def test_a_log_is_recorded_trained_on_predicted_and_scored(log, tmp_path):
     labels = np.load(tmp_path / "out" / "test-000" / "000001" / "voxels.npz")["labels"]
     assert set(np.unique(labels)) <= {*range(13), UNKNOWN}
     predicted = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert 0 <= predicted["rayiou"] <= 1
+    assert 0 <= predicted["metrics"]["test/rayiou"] <= 1
