@@ -7,13 +7,13 @@ frame (x forward, y left, z up) and its origin in the middle of the cameras.
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import msgpack
 import numpy as np
-import py123d
 import pyarrow
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
@@ -125,7 +125,7 @@ class Py123dReader:
             center_m = (self.ego_from_imu @ pose_of(self.car.center_to_imu_se3))[:3, 3]
         size_m = np.array([self.car.length, self.car.width, self.car.height])
         self.own_car_m = (center_m - size_m / 2).tolist(), (center_m + size_m / 2).tolist()
-        self.facts = {"dataset": log.dataset, "log_name": log.log_name, "library": py123d.__version__}
+        self.facts = {"dataset": log.dataset, "log_name": log.log_name, "library": version("py123d")}
         self.files = [(path.name, path.stat().st_size) for path in sorted(folder.iterdir()) if path.is_file()]
 
     def views(self) -> tuple[Rig, tuple[Float64[np.ndarray, " S"], ...], ReadImage]:
