@@ -67,11 +67,11 @@ coefficients_px: [399.0, 0.0, -8.0, 2.0] # k1 to k4, px per power of a radian
 {CENTER}; WoodScape: cx_offset + width / 2 - 0.5
 aspect: 1.0 # factor on vertical distances from the centre; aspect_ratio of WoodScape
 {SEES}""",
-    "ftheta": f"""# NVIDIA's DriveWorks and NCore; one of the two polynomials, the reference, the other is []
+    "ftheta": f"""# NVIDIA's DriveWorks, NCore and PhysicalAI-AV; give the reference polynomial, the other one is []
 {SIZE}
 angle_to_pixeldist: [0.0, 392.0, -2.0, -1.0] # px per power of a radian, lowest power first
-pixeldist_to_angle: [] # radians per power of a px
-linear_cde: [1.0, 0.0, 0.0] # c, d, e
+pixeldist_to_angle: [] # radians per power of a px, lowest power first; used if angle_to_pixeldist is []
+linear_cde: [1.0, 0.0, 0.0] # c, d, e: column = c x + d y + cx, row = e x + y + cy; [1, 0, 0]: no shear
 {CENTER}
 {SEES}""",
     "panoramic": """# 360 degrees: columns are azimuths, the middle one looks along the axis; rows are elevations

@@ -34,12 +34,14 @@ from omniocc.data.store.check import check_scene
 from omniocc.data.store.codec import decode_frame
 from omniocc.data.store.files import list_folders
 from omniocc.errors import UserError
-from omniocc.extras.recorders.log import Log, Scans, Timing, plan_frames
-from omniocc.extras.recorders.log_scene import origin_lines
+from omniocc.extras.recorders.log import Log, Scans, Timing, at_height, plan_frames
+from omniocc.extras.recorders.log_scene import origin_lines, record_log
+from omniocc.frame import Box
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
 
 GRID = Cylinder()
+VEHICLE = 7
 
 
 def same_rate(ours, theirs) -> float:
@@ -95,7 +97,7 @@ def test_ranges_are_those_of_the_points_and_sparse(recorder, original, tmp_path)
 
 def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(recorder, original, log_folder, tmp_path):
     log = shutil.copytree(log_folder, tmp_path / "log")
-    late_ns, step_s = 100_000_000, original.time_s[1] - original.time_s[0]
+    late_ns = 100_000_000
     for frame in range(len(original)):
         (log / "npz" / f"{stamp_ns(original, frame)}.npz").rename(
             log / "npz" / f"{stamp_ns(original, frame, late_ns)}.npz"
@@ -103,12 +105,7 @@ def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(record
     at_once = SceneReader(recorder(lidar_option("npz")).record(tmp_path / "same")[0])
     options = lidar_option("npz"), "limit_s=0.2"
     later = SceneReader(recorder(*options, log=log).record(tmp_path / "later")[0])
-    begin, end = original.world_from_ego[:2]
-    part = late_ns / 1e9 / step_s
-    at_scan = np.eye(4)
-    at_scan[:3, :3] = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))(part).as_matrix()
-    at_scan[:3, 3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
-    motion = np.linalg.inv(begin) @ at_scan
+    motion = np.linalg.inv(original.world_from_ego[0]) @ moved_by(original, late_ns / 1e9)
     assert np.linalg.norm(motion[:3, 3]) > 0.3
     expected = at_once.points(0).points_m @ motion[:3, :3].T + motion[:3, 3]
     apart_m, _ = cKDTree(later.points(0).points_m).query(expected)  # stored in another order, in steps of 1/128 m
@@ -122,6 +119,44 @@ def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(record
         both = np.isfinite(projected) & np.isfinite(stored)
         assert both.sum() > 0.9 * np.isfinite(stored).sum()
         assert (np.abs(projected - stored)[both] < 0.1).mean() > 0.95
+
+
+def test_boxes_of_a_log_tell_what_moves_and_go_along_with_the_scan(recorder, original, log_folder, tmp_path):
+    # scans are 0.1 s after their frames
+    late_ns = 100_000_000
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    for frame in range(len(original)):
+        names = (f"{stamp_ns(original, frame, late)}.npz" for late in (0, late_ns))
+        (log / "npz" / next(names)).rename(log / "npz" / next(names))
+    made = recorder(NPZ, "limit_s=0.2", log=log)
+    points = original.points(0)
+    car = int(np.flatnonzero(points.labels == VEHICLE)[0])
+    box = Box(3, VEHICLE, tuple(points.points_m[car].tolist()), (4.0, 2.0, 1.5), 0.5, (6.0, 0.0))
+    with made.open() as opened:
+        boxed = replace(opened, scans=replace(opened.scans, boxes=lambda number: (box,)))
+        folder = record_log(boxed, tmp_path / "train-000", made.timing, made.options)
+        low = record_log(at_height(boxed, 1.5, -2.2), tmp_path / "train-001", made.timing, made.options)
+    scene, lower = SceneReader(folder), SceneReader(low)
+    motion = np.linalg.inv(original.world_from_ego[0]) @ moved_by(original, late_ns / 1e9)
+    (kept,), (down,) = (decode_frame(one.read(0, one.index.members)).boxes for one in (scene, lower))
+    np.testing.assert_allclose(kept.center_m, motion[:3, :3] @ box.center_m + motion[:3, 3], atol=1e-6)
+    assert kept.yaw_rad == pytest.approx(0.5 + np.arctan2(motion[1, 0], motion[0, 0]), abs=1e-6)
+    np.testing.assert_allclose(down.center_m, np.add(kept.center_m, (0, 0, 0.7)), atol=1e-2)
+    scan = scene.scan(0)
+    assert set(scan.labels[scan.moving].tolist()) == {VEHICLE}
+    ends_m = (scan.origins + scan.range_m[:, None] * scan.directions)[scan.moving]
+    assert (np.abs(ends_m - kept.center_m)[:, :2] < 3).all()
+    np.testing.assert_array_equal(lower.scan(0).moving.sum(), scan.moving.sum())
+
+
+def moved_by(scene, time_s):
+    """Return the pose of the car some time after the first frame of a scene."""
+    begin, end = scene.world_from_ego[:2]
+    part = time_s / (scene.time_s[1] - scene.time_s[0])
+    pose = np.eye(4)
+    pose[:3, :3] = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))(part).as_matrix()
+    pose[:3, 3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
+    return pose
 
 
 def test_scans_beside_sparse_poses_lose_no_frame():

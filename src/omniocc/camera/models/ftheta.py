@@ -1,4 +1,8 @@
-"""NVIDIA's f-theta model (DriveWorks, NCore): a polynomial of either direction, and an affine map of the image."""
+"""NVIDIA's f-theta model (DriveWorks, NCore): a polynomial of either direction, and an affine map of the image.
+
+The convention is NCore's, https://nvidia.github.io/ncore/data/sensor_models.html, which is that of DriveWorks,
+https://developer.nvidia.com/docs/drive/drive-os/7.0.3/public/drive-os-linux-sdk-api-ref/structdwFThetaCameraConfig.html
+"""
 
 import math
 from dataclasses import dataclass, replace

@@ -38,7 +38,9 @@ from rayiou.labels import ids_beyond
 
 T = TypeVar("T")
 FROM_LOG = "log"
-"""Fact of scenes made of a real car's log, which has no boxes of actors."""
+"""Fact of scenes made of a real car's log, which has boxes of actors only where `BOXES` says so."""
+BOXES = "boxes"
+"""Fact of scenes made of a log: whether their frames have the boxes of all actors."""
 LIDAR_POSITION = "lidar_position_m"
 """Fact of scenes made of a log with a LiDAR: its position in the ego frame, m."""
 CONDITIONS = {"weather": "weather", "place": "theme"}
@@ -189,9 +191,7 @@ class SceneReader(SceneFolder):
             range_m, labels = decode_lidar(blobs[LIDAR], len(directions))
         if len(labels) != len(directions):
             raise self._wrong(frame, f"it has {len(labels):,} hits, its rays are {len(directions):,}", LIDAR)
-        with self._decoding(frame, FACTS):
-            boxes = decode_boxes(blobs[FACTS])
-        self._known(np.array([box.label for box in boxes], np.uint8), frame, "boxes")
+        boxes = self._boxes(frame, blobs[FACTS])
         self._known(labels, frame, "LiDAR hits")
         known = FROM_LOG not in self.meta["facts"]
         moving = hits_of_moving(range_m, labels, directions, boxes) if known else None
@@ -209,7 +209,18 @@ class SceneReader(SceneFolder):
         position_m = self.meta["facts"].get(LIDAR_POSITION)
         if not isinstance(position_m, list) or len(position_m) != 3 or not all(map(is_finite, position_m)):
             raise self.damaged(META, "it does not state where the LiDAR was; remove the scene and record it again")
-        return scan_of_points(Cloud(points.points_m, points.labels, np.array(position_m, np.float32)))
+        scan = scan_of_points(Cloud(points.points_m, points.labels, np.array(position_m, np.float32)))
+        if self.meta["facts"].get(BOXES) is not True:
+            return scan
+        boxes = self._boxes(frame, self.read(frame, [FACTS])[FACTS])
+        return scan._replace(moving=hits_of_moving(scan.range_m, scan.labels, scan.directions, boxes, scan.origins))
+
+    def _boxes(self, frame: int, blob: bytes) -> tuple[Box, ...]:
+        """Return the boxes of a frame; raise DataError if they are damaged, or of a class that the scene lacks."""
+        with self._decoding(frame, FACTS):
+            boxes = decode_boxes(blob)
+        self._known(np.array([box.label for box in boxes], np.uint8), frame, "boxes")
+        return boxes
 
     @property
     def conditions(self) -> dict[str, str]:
@@ -307,21 +318,24 @@ def hits_of_moving(
     labels: UInt8[np.ndarray, " R"],
     directions: Float32[np.ndarray, "R 3"],
     boxes: Sequence[Box],
+    origins: Float32[np.ndarray, "R 3"] | None = None,
 ) -> Bool[np.ndarray, " R"]:
     """Return which rays hit an actor that moves: they end in its box, seen from above, on its class.
 
     Args:
-        range_m: along the rays from the ego origin, m; inf where nothing is hit.
+        range_m: along the rays, m; inf where nothing is hit.
         labels: class that is hit.
         directions: unit rays in the ego frame.
         boxes: actors of the frame, moving or not, ego frame.
+        origins: where the rays start, ego frame, m; None: in its origin.
     """
     found = np.zeros(len(labels), dtype=bool)
     for box in boxes:
         if np.hypot(*box.velocity_mps) < MOVES_MPS:
             continue
         rays = np.flatnonzero(labels == box.label)
-        away_m = range_m[rays, None] * directions[rays, :2] - np.array(box.center_m[:2])
+        ends_m = range_m[rays, None] * directions[rays, :2]
+        away_m = (ends_m if origins is None else ends_m + origins[rays, :2]) - np.array(box.center_m[:2])
         cos, sin = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
         along_m = np.abs(away_m @ np.array([[cos, -sin], [sin, cos]]))
         found[rays[(along_m < np.array(box.size_m[:2]) / 2 + MARGIN_M).all(axis=1)]] = True

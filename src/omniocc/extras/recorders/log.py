@@ -14,6 +14,7 @@ from omniocc.data.formats.poses import inverse, shift
 from omniocc.data.source import Points
 from omniocc.errors import UserError
 from omniocc.extras.recorders.streams import MISSING, gap_s, interpolate, lacking, nearest, paced
+from omniocc.frame import Box
 
 SHOWN = 5
 """Missing frames that are named in messages; all of them are listed in the scene's `meta.json`."""
@@ -45,6 +46,7 @@ class Scans:
         name: returns the file or message of a scan by its number, for messages.
         classes: of the points; free and occupied if they have none.
         position_m: (3,) of the LiDAR in the ego frame, where its rays start.
+        boxes: returns the boxes of all actors at the time of a scan by its number, ego frame; None without them.
     """
 
     times_s: Float64[np.ndarray, " S"]
@@ -52,6 +54,7 @@ class Scans:
     name: Callable[[int], str]
     classes: ClassTable
     position_m: Float64[np.ndarray, " 3"]
+    boxes: Callable[[int], tuple[Box, ...]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,20 +92,43 @@ def at_height(log: Log, above_m: float, road_z_m: float) -> Log:
         above_m: above 0.
         road_z_m: height of the road in that frame, m.
     """
-    height_m, scans = road_z_m + above_m, log.scans
-    lower_m = np.array([0, 0, height_m])
-
-    def read(number: int) -> Scan:
-        assert scans is not None
-        points, times_s = scans.read(number)
-        return Scan(points._replace(points_m=points.points_m - lower_m.astype(np.float32)), times_s)
-
+    height_m = road_z_m + above_m
     return replace(
         log,
         # exactly this height, since scenes of a folder have to agree
         rig=replace(replace(log.rig, road_z_m=None).raised(height_m), road_z_m=-above_m),
         world_from_ego=log.world_from_ego @ shift(0.0, 0.0, height_m),
-        scans=None if scans is None else replace(scans, read=read, position_m=scans.position_m - lower_m),
+        scans=None if log.scans is None else _lowered(log.scans, np.array([0, 0, height_m])),
+    )
+
+
+def _lowered(scans: Scans, lower_m: Float64[np.ndarray, " 3"]) -> Scans:
+    """Return the scans in an ego frame whose origin is at `lower_m` of theirs."""
+
+    def read(number: int) -> Scan:
+        points, times_s = scans.read(number)
+        return Scan(points._replace(points_m=points.points_m - lower_m.astype(np.float32)), times_s)
+
+    def boxes(number: int) -> tuple[Box, ...]:
+        assert scans.boxes is not None
+        return moved_boxes(scans.boxes(number), shift(*-lower_m))
+
+    boxed = None if scans.boxes is None else boxes
+    return replace(scans, read=read, position_m=scans.position_m - lower_m, boxes=boxed)
+
+
+def moved_boxes(boxes: Sequence[Box], a_from_b: Float64[np.ndarray, "4 4"]) -> tuple[Box, ...]:
+    """Return boxes of frame b in frame a, upright there as well; their velocities stay those over the ground."""
+    rotation = a_from_b[:3, :3]
+    yaw_rad = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return tuple(
+        replace(
+            box,
+            center_m=tuple((rotation @ box.center_m + a_from_b[:3, 3]).tolist()),
+            yaw_rad=float(np.angle(np.exp(1j * (box.yaw_rad + yaw_rad)))),  # in [-pi, pi]
+            velocity_mps=tuple((rotation[:2, :2] @ box.velocity_mps).tolist()),
+        )
+        for box in boxes
     )
 
 

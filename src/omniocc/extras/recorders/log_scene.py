@@ -21,11 +21,21 @@ from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.source import SPLITS, Points, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.meta import append_frame, finish_scene, panorama_of, recorded_spec
-from omniocc.data.store.reader import LIDAR_POSITION, SceneReader
+from omniocc.data.store.reader import BOXES, LIDAR_POSITION, SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
-from omniocc.extras.recorders.log import Log, Plan, Timing, at_height, check_timing, missing_lines, plan_frames
+from omniocc.extras.recorders.log import (
+    Log,
+    Plan,
+    Timing,
+    at_height,
+    check_timing,
+    missing_lines,
+    moved_boxes,
+    plan_frames,
+)
 from omniocc.extras.recorders.turns import at_one_time
+from omniocc.frame import Box
 from omniocc.io import checked_name
 from omniocc.parallel import Report, make_scenes
 from omniocc.progress import Progress
@@ -53,7 +63,7 @@ class SceneOptions(NamedTuple):
 
 
 class LogRecorder(ABC):
-    """Base class of the recorders of logs, which are folders of files or ROS bags.
+    """Base class of the recorders of logs, which are folders of files, ROS bags or logs of py123d.
 
     Args:
         name: name of the scene and of its folder.
@@ -273,6 +283,7 @@ def _write_scene(
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": options.moving}
         facts |= {} if log.scans is None else {LIDAR_POSITION: log.scans.position_m.tolist()}
+        facts |= {} if log.scans is None or log.scans.boxes is None else {BOXES: True}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})
@@ -298,6 +309,7 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
         erp_range_m=onto_panorama(points.points_m, None, panorama).range_m,
         points_m=points.points_m,
         point_labels=points.labels,
+        boxes=read_boxes(log, plan, number),
     )
 
 
@@ -314,6 +326,14 @@ def read_points(log: Log, plan: Plan, number: int) -> Points | None:
     else:
         return points
     return points._replace(points_m=points_m)
+
+
+def read_boxes(log: Log, plan: Plan, number: int) -> tuple[Box, ...]:
+    """Return the boxes of actors of a frame's scan in its ego frame; none if the log has none."""
+    if log.scans is None or log.scans.boxes is None or plan.scans is None:
+        return ()
+    boxes = log.scans.boxes(int(plan.scans[number]))
+    return boxes if plan.ego_from_scan is None else moved_boxes(boxes, plan.ego_from_scan[number])
 
 
 def scale_image(
