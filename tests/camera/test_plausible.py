@@ -89,6 +89,7 @@ CASES = {
     "cameras look into each other: 'camera0' and 'camera1'": ring(2, turned=180.0),
     "the height of the road is not known": ring(road_z_m=None),
     "the road (road_z_m: -0.9) is above camera 'camera1'": lowered(1, 2.0),
+    "the road (road_z_m: -90) is 90.0 m below the lowest camera: is it in metres?": ring(road_z_m=-90.0),
     "no two cameras see the same": ring(camera=Pinhole(640, 480, (400.0, 400.0), (319.5, 239.5))),
     "camera 'camera3': its optical axis is at (240, 320) px, far from the middle (320, 240)": ring(
         camera=replace(WIDE, center_px=(240.0, 320.0))

@@ -36,6 +36,8 @@ ENDS_DEG = 2.0
 """Angle that the last pixel with a ray may be short of the end of the lens."""
 WIDE_M = 25.0
 """Largest distance between two cameras of a vehicle."""
+HIGH_M = 6.0
+"""Height above the road of the lowest camera of a vehicle, at most."""
 TRAINED = 8
 """Most cameras of the rigs that networks for any rig are trained on."""
 AROUND = Equirectangular(120, 50, 60.0, -90.0)
@@ -181,11 +183,20 @@ def _same(rig: Rig) -> Iterator[str]:
 def _road(rig: Rig) -> Iterator[str]:
     if rig.road_z_m is None:
         yield "the height of the road is not known: write road_z_m into the rig file (-0.9: 0.9 m below the origin)"
+    yield from wrong_road(rig)
+
+
+def wrong_road(rig: Rig) -> Iterator[str]:
+    """Yield a line if a stated height of the road cannot be: above a camera, or far below all of them."""
+    if rig.road_z_m is None:
         return
-    below = (rig.ego_from_camera[:, 2, 3] <= rig.road_z_m).tolist()
-    if any(below):
-        lowest = float(rig.ego_from_camera[:, 2, 3].min())
-        yield f"the road (road_z_m: {rig.road_z_m:g}) is above {_named(rig, below)}, z down to {lowest:g} m: is z up?"
+    heights_m = rig.ego_from_camera[:, 2, 3] - rig.road_z_m
+    lowest_m = float(heights_m.min())
+    if lowest_m <= 0:
+        below = _named(rig, (heights_m <= 0).tolist())
+        yield f"the road (road_z_m: {rig.road_z_m:g}) is above {below}, by up to {-lowest_m:.2g} m: is z up?"
+    elif lowest_m > HIGH_M:
+        yield f"the road (road_z_m: {rig.road_z_m:g}) is {lowest_m:.1f} m below the lowest camera: is it in metres?"
 
 
 def _lenses(rig: Rig) -> Iterator[str]:

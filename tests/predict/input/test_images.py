@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -85,6 +87,16 @@ def test_a_lens_that_ends_near_its_axis_is_told_beside_images_that_are_not_used(
     ignored, lens = remarks(frames, Rig((narrow, CAMERAS[1]), RIG.ego_from_camera, RIG.names))
     assert "left.png" in ignored
     assert lens.startswith("camera 'front': only ")
+
+
+@pytest.mark.parametrize(("road_z_m", "line"), [(-0.9, None), (-60.0, "60.0 m below the lowest camera")])
+def test_a_road_that_cannot_be_is_told(tmp_path, road_z_m, line):
+    for name in ("front.png", "back.png"):
+        save(tmp_path / name)
+    told = list(remarks(find_frames(str(tmp_path), RIG), replace(RIG, road_z_m=road_z_m)))
+    assert told == (
+        [] if line is None else [f"road      the road (road_z_m: {road_z_m:g}) is {line}: is it in metres?"]
+    )
 
 
 def test_a_camera_that_is_left_out_is_black(tmp_path):

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
+from omniocc.camera.plausible import wrong_road
 from omniocc.camera.seams import better_order
 from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera, scaled_to
 from omniocc.errors import DataError, UserError
@@ -155,8 +156,8 @@ def _image_files(folder: Path) -> list[Path]:
 def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
     """Yield lines about what may be wrong, beside the names of listed images.
 
-    These are images that are not used, lens models that do not fit, and images of the first frame that fit better in
-    another order.
+    These are images that are not used, lens models that do not fit, a height of the road that cannot be, and images of
+    the first frame that fit better in another order.
 
     Raises:
         UserError: naming an image of the first frame that cannot be read.
@@ -168,6 +169,7 @@ def remarks(frames: Sequence[FrameFiles], rig: Rig) -> Iterator[str]:
     if line := describe_ignored_images(frames, rig):
         yield line
     yield from lenses_that_do_not_fit(rig)
+    yield from (f"road      {line}" for line in wrong_road(rig))
     if line := swapped_images(frames[0], rig):
         yield line
 
