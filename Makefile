@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+USED := $(VENV)/.used
 READY := $(VENV)/.ready
 INSTALL ?= $(BIN)/python -m pip install --quiet --disable-pip-version-check
 CONSTRAINTS ?= constraints.txt
@@ -10,16 +11,23 @@ PRESET ?= tiny
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-$(READY): pyproject.toml src/rayiou/pyproject.toml constraints.txt
+PACKAGES = @$(PYTHON) tools/with_clock.py $(VENV) $(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable src/rayiou --editable
+
+$(USED): pyproject.toml src/rayiou/pyproject.toml constraints.txt
 	@$(PYTHON) tools/python_version.py
-	@echo "Setting up $(VENV) (about three minutes, once)"
+	@echo "Setting up $(VENV) (about two minutes, once)"
 	$(PYTHON) -m venv $(VENV)
-	@$(PYTHON) tools/with_clock.py $(VENV) $(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable src/rayiou --editable '.[dev]'
+	$(PACKAGES) '.[plot,bag,pretrained]'
+	@touch $@
+
+$(READY): $(USED)
+	@echo "Adding to $(VENV) what tests and development need (about a minute, once)"
+	$(PACKAGES) '.[dev]'
 	@touch $@
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
 
-demo: $(READY)  ## Render streets, train, test on unseen streets, show table and images (FULL=1: every stage; PRESET=smoke: a minute or two)
+demo: $(USED)  ## Render streets, train, test on unseen streets, show table and images (FULL=1: every stage; PRESET=smoke: a minute or two)
 	$(BIN)/python tools/demo.py $(PRESET) $(if $(FULL),--full)
 
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
@@ -74,12 +82,12 @@ SEEDS ?= 0
 JOBS ?= 2
 ARGS ?=
 
-ablations: $(READY)  ## Train the rows of the paper's tables, then write them (SWEEP=rivals: of sweeps/rivals.yaml; SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value')
+ablations: $(USED)  ## Train the rows of the paper's tables, then write them (SWEEP=rivals: of sweeps/rivals.yaml; SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value')
 	@$(BIN)/python src/train.py --multirun +sweep=$(SWEEP) seed=$(SEEDS) preset=$(PRESET) \
 	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; \
 	  $(BIN)/python src/report.py; [ $$code = 0 ] || echo "Not everything was trained: the reasons stand above the tables"; exit $$code
 
-weights: $(READY)  ## Train the weights that come with the package, for hours, and pack them with a card each (NAME=tiny: one of tools/weights)
+weights: $(USED)  ## Train the weights that come with the package, for hours, and pack them with a card each (NAME=tiny: one of tools/weights)
 	$(BIN)/python tools/make_weights.py $(NAME)
 	$(BIN)/python tools/model_zoo.py
 

@@ -41,7 +41,8 @@ def checkout(tmp_path, data_root):
     data_root.mkdir(exist_ok=True)
     (tmp_path / "data").symlink_to(data_root)
     (tmp_path / ".venv").mkdir()
-    (tmp_path / ".venv" / ".ready").touch()
+    for name in (".used", ".ready"):
+        (tmp_path / ".venv" / name).touch()
     return tmp_path
 
 
