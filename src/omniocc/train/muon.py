@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.bounds import Kept
+from omniocc.model.ops.padded import grouped
 from omniocc.train.adamw import AdamW
 
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
@@ -51,23 +52,31 @@ class MuonOptimizer(torch.optim.AdamW):
             with torch.enable_grad():
                 loss = closure()
         for group in self.param_groups:
-            for parameter in group["params"] if "momentum" in group else ():
-                if parameter.grad is not None:
-                    self._step_matrix(parameter, parameter.grad, group)
-                    parameter.grad = None
+            if "momentum" in group:
+                self._step_matrices([p for p in group["params"] if p.grad is not None], group)
         super().step()
         return loss
 
-    def _step_matrix(self, parameter: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
+    def _step_matrices(self, parameters: list[Tensor], group: dict[str, Any]) -> None:
+        """Step all matrices of a group together, and drop their gradients."""
+        if not parameters:
+            return
+        grads, rate = [p.grad for p in parameters], group["lr"]
+        means = [self._momentum(p) for p in parameters]
+        torch._foreach_lerp_(means, grads, 1 - group["momentum"])
+        ahead = torch._foreach_lerp(grads, means, group["momentum"])
+        updates = orthogonal_each([matrix.flatten(1) for matrix in ahead])
+        torch._foreach_mul_(parameters, 1 - rate * group["weight_decay"])
+        torch._foreach_add_(parameters, [u.view_as(p) for u, p in zip(updates, parameters, strict=True)], alpha=-rate)
+        for parameter in parameters:
+            parameter.grad = None
+
+    def _momentum(self, parameter: Tensor) -> Tensor:
         state = self.state[parameter]
         if not state:
             # AdamW loads no state without `step`
             state["momentum"], state["step"] = torch.zeros_like(parameter), torch.zeros(())
-        mean = state["momentum"].lerp_(grad, 1 - group["momentum"])
-        ahead = grad.lerp(mean, group["momentum"]).flatten(1)
-        update = orthogonal(ahead) * (RMS * max(ahead.shape) ** 0.5)
-        parameter.mul_(1 - group["lr"] * group["weight_decay"])
-        parameter.add_(update.view_as(parameter), alpha=-group["lr"])
+        return state["momentum"]
 
 
 def is_matrix(parameter: Tensor) -> bool:
@@ -75,13 +84,24 @@ def is_matrix(parameter: Tensor) -> bool:
     return parameter.ndim >= 2 and len(parameter) >= LEAST_SIDE and parameter[0].numel() >= LEAST_SIDE
 
 
-def orthogonal(matrix: Float[Tensor, "M N"]) -> Float[Tensor, "M N"]:
-    """Return a matrix with the same singular vectors and singular values of about 1 (0.7 to 1.2)."""
-    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T  # so that `square` is the smaller product
+def orthogonal_each(matrices: list[Float[Tensor, "_ _"]]) -> list[Float[Tensor, "_ _"]]:
+    """Return `orthogonal` of each matrix, scaled to entries of about `RMS`; those of one shape are computed together."""
+    updates = list(matrices)
+    for (rows, columns), places in grouped(matrix.shape for matrix in matrices).items():
+        found = orthogonal(torch.stack([matrices[place] for place in places])) * (RMS * max(rows, columns) ** 0.5)
+        for place, update in zip(places, found.unbind(), strict=True):
+            updates[place] = update
+    return updates
+
+
+def orthogonal(matrices: Float[Tensor, "K M N"]) -> Float[Tensor, "K M N"]:
+    """Return matrices with the same singular vectors and singular values of about 1 (0.7 to 1.2)."""
+    tall = matrices.shape[1] > matrices.shape[2]
+    wide = matrices.mT if tall else matrices  # so that `square` is the smaller product
     # divided by the norm no singular value is above 1, where the iteration converges
-    wide = wide.float() / wide.norm().clamp(min=1e-7)
+    wide = wide.float() / torch.linalg.matrix_norm(wide.float(), keepdim=True).clamp(min=1e-7)
     first, third, fifth = COEFFICIENTS
     for _ in range(ITERATIONS):
-        square = wide @ wide.T
-        wide = first * wide + (third * square + fifth * square @ square) @ wide
-    return wide if matrix.shape[0] <= matrix.shape[1] else wide.T
+        square = wide @ wide.mT
+        wide = torch.baddbmm(wide, torch.baddbmm(square, square, square, beta=third, alpha=fifth), wide, beta=first)
+    return wide.mT if tall else wide
