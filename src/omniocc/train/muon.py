@@ -65,7 +65,8 @@ class MuonOptimizer(torch.optim.AdamW):
         means = [self._momentum(p) for p in parameters]
         torch._foreach_lerp_(means, grads, 1 - group["momentum"])
         ahead = torch._foreach_lerp(grads, means, group["momentum"])
-        updates = orthogonal_each([matrix.flatten(1) for matrix in ahead])
+        updates = orthogonal([matrix.flatten(1) for matrix in ahead])
+        torch._foreach_mul_(updates, [RMS * max(update.shape) ** 0.5 for update in updates])
         torch._foreach_mul_(parameters, 1 - rate * group["weight_decay"])
         torch._foreach_add_(parameters, [u.view_as(p) for u, p in zip(updates, parameters, strict=True)], alpha=-rate)
         for parameter in parameters:
@@ -84,24 +85,30 @@ def is_matrix(parameter: Tensor) -> bool:
     return parameter.ndim >= 2 and len(parameter) >= LEAST_SIDE and parameter[0].numel() >= LEAST_SIDE
 
 
-def orthogonal_each(matrices: list[Float[Tensor, "_ _"]]) -> list[Float[Tensor, "_ _"]]:
-    """Return `orthogonal` of each matrix, scaled to entries of about `RMS`; those of one shape are computed together."""
-    updates = list(matrices)
-    for (rows, columns), places in grouped(matrix.shape for matrix in matrices).items():
-        found = orthogonal(torch.stack([matrices[place] for place in places])) * (RMS * max(rows, columns) ** 0.5)
-        for place, update in zip(places, found.unbind(), strict=True):
-            updates[place] = update
-    return updates
+def orthogonal(matrices: list[Float[Tensor, "_ _"]]) -> list[Float[Tensor, "_ _"]]:
+    """Return matrices with the same singular vectors and singular values of about 1 (0.7 to 1.2).
+
+    The iteration `X <- p(X X^T) X` only multiplies from the left, by polynomials of X X^T. These are computed from the
+    small squares alone, for all matrices of one number of rows together, and applied once.
+    """
+    wide = [matrix.float() if len(matrix) <= matrix.shape[1] else matrix.float().T for matrix in matrices]
+    found = list(wide)
+    for places in grouped(map(len, wide)).values():
+        factors = polynomials(torch.stack([wide[place] @ wide[place].T for place in places]))
+        for place, factor in zip(places, factors.unbind(), strict=True):
+            found[place] = factor @ wide[place]
+    return [update if len(matrix) == len(update) else update.T for matrix, update in zip(matrices, found, strict=True)]
 
 
-def orthogonal(matrices: Float[Tensor, "K M N"]) -> Float[Tensor, "K M N"]:
-    """Return matrices with the same singular vectors and singular values of about 1 (0.7 to 1.2)."""
-    tall = matrices.shape[1] > matrices.shape[2]
-    wide = matrices.mT if tall else matrices  # so that `square` is the smaller product
-    # divided by the norm no singular value is above 1, where the iteration converges
-    wide = wide.float() / torch.linalg.matrix_norm(wide.float(), keepdim=True).clamp(min=1e-7)
+def polynomials(squares: Float[Tensor, "K M M"]) -> Float[Tensor, "K M M"]:
+    """Return the matrices by which the Newton-Schulz iteration multiplies each X in all, from X X^T."""
+    # divided by the norm of X no singular value is above 1, where the iteration converges
+    norm = squares.diagonal(dim1=1, dim2=2).sum(1).sqrt().clamp(min=1e-7)[:, None, None]
+    square = squares / norm**2
+    product = torch.eye(squares.shape[1], device=squares.device) / norm
     first, third, fifth = COEFFICIENTS
     for _ in range(ITERATIONS):
-        square = wide @ wide.mT
-        wide = torch.baddbmm(wide, torch.baddbmm(square, square, square, beta=third, alpha=fifth), wide, beta=first)
-    return wide.mT if tall else wide
+        factor = torch.baddbmm(square, square, square, beta=third, alpha=fifth)
+        factor.diagonal(dim1=1, dim2=2).add_(first)
+        product, square = torch.bmm(factor, product), torch.bmm(torch.bmm(factor, square), factor)
+    return product
