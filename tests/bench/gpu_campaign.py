@@ -157,11 +157,11 @@ def attention_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     maps = torch.randn(1, len(rig.cameras), heads, channels, height, width, device=device, requires_grad=True)
     offsets = torch.randn(heads, 1, 2, len(pairs.counts), points, device=device, requires_grad=True)
     weights = torch.rand(heads, 1, len(pairs.counts), points, device=device, requires_grad=True)
-    level = make_level(pairs, height, width, points, torch.float32)
+    level = make_level(pairs, height, width, points, heads, torch.float32)
     size = torch.tensor([width, height], device=device)
 
     def ours() -> Tensor:
-        return deformable_sum([make_table(maps)], offsets, weights, pairs, [level])
+        return deformable_sum([make_table(maps)], offsets, weights, [level])
 
     def plain() -> Tensor:
         sums = maps.new_zeros(len(pairs.counts), heads, channels)

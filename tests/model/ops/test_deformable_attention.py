@@ -28,8 +28,8 @@ def inputs(pairs):
 
 
 def ours(pairs, offsets, attention, *maps):
-    levels = [make_level(pairs, *size, POINTS, torch.float64) for size in SIZES]
-    sums = deformable_sum([make_table(level) for level in maps], offsets, attention, pairs, levels)
+    levels = [make_level(pairs, *size, POINTS, HEADS, torch.float64) for size in SIZES]
+    sums = deformable_sum([make_table(level) for level in maps], offsets, attention, levels)
     return sums.unflatten(-1, (SAMPLES, CHANNELS))
 
 

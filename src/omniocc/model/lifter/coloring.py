@@ -79,7 +79,7 @@ class Coloring(nn.Module):
         self.lens: Lens = lens
         self.channels = channels
         self.strides = list(levels)
-        self.points = points
+        self.points, self.heads = points, heads
         self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
         first, second = nn.Linear(self.positions.shape[1], channels), nn.Linear(channels, channels)
@@ -156,7 +156,8 @@ class Coloring(nn.Module):
         embedding = embedding[None] if start is None else embedding + start[:, cells]
         queries = embedding[:, seen]
         dtype = torch.promote_types(embedding.dtype, torch.float32)
-        levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
+        sizes = [level.shape[-2:] for level in features]
+        levels = [make_level(pairs, *size, self.points, self.heads, dtype) for size in sizes]
         for layer in self.layers:
             queries = layer(queries, features, pairs, levels)
         others = others.to(queries.dtype).expand(-1, len(marked), -1)
@@ -220,7 +221,7 @@ class CrossAttention(SampledAttention):
             dtype = torch.promote_types(queries.dtype, torch.float32)
             offsets, attention = self._sampling(queries.to(dtype))
             tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
-            sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
+            sums = deformable_sum(tables, offsets, attention, levels) / pairs.counts[:, None]
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:

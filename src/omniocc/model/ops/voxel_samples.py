@@ -41,9 +41,9 @@ def _at_voxels(
     with torch.autocast(maps.device.type, enabled=False):
         values = maps.to(torch.promote_types(maps.dtype, torch.float32))
         table = make_table(values.unsqueeze(2))  # of one head
-        level = make_level(pairs, height, width, 1, values.dtype)
+        level = make_level(pairs, height, width, 1, 1, values.dtype)
         offsets = values.new_zeros(1, 1, 2, len(seen), 1)
-        sums = deformable_sum([table], offsets, offsets[:, :, 0] + 1, pairs, [level])[0] / pairs.counts[:, None]
+        sums = deformable_sum([table], offsets, offsets[:, :, 0] + 1, [level])[0] / pairs.counts[:, None]
     rows = sums.unflatten(1, (len(maps), -1)).movedim(1, 0)
     volume = rows.new_zeros(len(maps), len(marked), rows.shape[2]).index_copy(1, cells[seen], rows)
     return torch.where(marked[:, None], volume, 0) if whole else volume
