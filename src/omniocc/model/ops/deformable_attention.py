@@ -16,11 +16,16 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
 from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
-from omniocc.model.ops.visible import Pairs
+from omniocc.model.ops.padded import joined
+from omniocc.model.ops.rig_cache import once_per_rig
+from omniocc.model.ops.visible import Anchors, Pairs, every_cell
 
-TOGETHER = 524288
-"""Samples of one level that are computed together, at least those of one head."""
+TOGETHER = 2**19
+"""Samples of one level that are computed together on a CPU, at least those of one head."""
+TOGETHER_ON_GPU = 2**23
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
@@ -130,12 +135,14 @@ class Samples(NamedTuple):
     Attributes:
         row: table row of the upper left corner.
         fraction: towards the right corners, and towards the lower ones.
-        inside: false where a position was clamped to the padding, which stops its gradient, along x and along y.
+        raw: column and row before they were clamped to the padding.
+        position: column and row.
     """
 
     row: Int32[Tensor, "H P K"]
     fraction: Float[Tensor, "H 2 P K"]
-    inside: Tensor
+    raw: Float[Tensor, "H 2 P K"]
+    position: Float[Tensor, "H 2 P K"]
 
 
 def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
@@ -152,7 +159,8 @@ def make_level(pairs: Pairs, height: int, width: int, points: int, heads: int, d
     size = anchors.new_tensor([width, height]).view(2, 1, 1)
     row = pairs.camera.int()[:, None] * ((height + 2) * (width + 2))
     entries = len(row) * points
-    heads = min(heads, max(1, TOGETHER // max(entries, 1)))
+    together = TOGETHER_ON_GPU if row.device.type == "cuda" else TOGETHER
+    heads = min(heads, max(1, together // max(entries, 1)))
     number = torch.arange(4 * heads, device=row.device)[:, None]
     query = (number[: 2 * heads] * len(pairs.first) + pairs.query).flatten()  # for two numbers each
     first = (number * entries + pairs.first * points).flatten().int()
@@ -160,20 +168,36 @@ def make_level(pairs: Pairs, height: int, width: int, points: int, heads: int, d
     return Level(((anchors + 1) * size + 1) / 2, size + 1, row, width + 2, steps, heads, query, first)
 
 
+@once_per_rig
+def level_of_every_cell(
+    rig: Rig,
+    geometry: Grid,
+    device: torch.device,
+    anchors: Anchors,
+    height: int,
+    width: int,
+    points: int,
+    heads: int,
+    dtype: torch.dtype,
+) -> Level:
+    """Return the result of `make_level` for the pairs of `every_cell`; never write to the result, which is cached."""
+    return make_level(every_cell(rig, geometry, device, anchors)[2], height, width, points, heads, dtype)
+
+
 def _of_pairs(level: Level, values: Float[Tensor, "*H Q K"]) -> Float[Tensor, "*H P K"]:
     """Return each pair's values of its query."""
     rows = values.flatten(0, -2)
-    count = len(rows) // values.shape[-2] * len(level.row)
+    count = values.shape[:-2].numel() * len(level.row)
     return rows.index_select(0, level.query[:count]).view(*values.shape[:-2], -1, values.shape[-1])
 
 
 def _locate(level: Level, offsets: Float[Tensor, "H 2 Q K"]) -> Samples:
     raw = level.places + _of_pairs(level, offsets)
-    position = raw.clamp(torch.zeros_like(level.last), level.last)
+    position = raw.clamp(min=0).minimum(level.last)
     lower = position.floor().minimum(level.last - 1)  # the upper corner is on the map too
     # exact in float32 up to 2**24 pixels; the index of a NaN is valid, its fraction remains NaN
     row = torch.add(lower[:, 0], lower[:, 1], alpha=level.width).int().clamp_(min=0).add_(level.row)
-    return Samples(row, position - lower, raw == position)
+    return Samples(row, position - lower, raw, position)
 
 
 def _corner_weights(samples: Samples, weight: Float[Tensor, "H P K"]) -> Float[Tensor, "4 H P K"]:
@@ -186,8 +210,8 @@ def _corner_weights(samples: Samples, weight: Float[Tensor, "H P K"]) -> Float[T
 
 def _corner_rows(samples: Samples, level: Level, size: int) -> Int32[Tensor, "4 H P K"]:
     """Return rows of the tables of all heads, one below the other."""
-    heads = torch.arange(len(samples.row), dtype=torch.int32, device=level.steps.device)
-    return samples.row + (level.steps + size * heads[:, None, None])
+    heads = torch.arange(0, len(samples.row) * size, size, dtype=torch.int32, device=level.steps.device)
+    return samples.row + (level.steps + heads[:, None, None])
 
 
 def _gather(
@@ -260,11 +284,12 @@ def _backward(
     slope_y = low + fx * lower_slope - upper
     slope_x = upper_slope + fy * (lower_slope - upper_slope)
     value = upper + fy * slope_y
-    slopes = torch.stack([slope_x, slope_y], 1) * weight[:, None] * samples.inside
+    inside = samples.raw == samples.position  # what was clamped has no gradient
+    slopes = torch.stack([slope_x, slope_y], 1) * weight[:, None] * inside
     per_pair = torch.cat([*slopes.unbind(1), value], -1).flatten(0, 1)
     per_query = per_pair.new_zeros(grad.shape[:2].numel(), per_pair.shape[1])
     per_query.index_add_(0, level.query[: len(per_pair)], per_pair)
-    grad_x, grad_y, grad_attention = per_query.view(*grad.shape[:2], -1).chunk(3, dim=-1)
+    grad_x, grad_y, grad_attention = per_query.view(*grad.shape[:2], per_pair.shape[1]).chunk(3, dim=-1)
     return grad_table, torch.stack([grad_x, grad_y], 1), grad_attention
 
 
@@ -277,7 +302,8 @@ class _DeformableSum(torch.autograd.Function):
         ctx.levels = levels
         parts = []
         for index, (level, table) in enumerate(zip(levels, tables, strict=True)):
-            heads = zip(*(part.split(level.heads) for part in (table, offsets[:, index], attention[:, index])))
+            inputs = table, offsets[:, index], attention[:, index]
+            heads = zip(*(part.split(level.heads) for part in inputs), strict=True)
             sums = [
                 _gather(rows, _locate(level, moves), _of_pairs(level, weight), level) for rows, moves, weight in heads
             ]
@@ -292,17 +318,12 @@ class _DeformableSum(torch.autograd.Function):
         grads = []
         for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
             inputs = table, offsets[:, index], attention[:, index], grad.contiguous()
-            heads = zip(*(part.split(level.heads) for part in inputs))
+            heads = zip(*(part.split(level.heads) for part in inputs), strict=True)
             found = [_backward(*part, level, fixed) for part in heads]
             grads.append([None if part[0] is None else joined(part) for part in zip(*found, strict=True)])
         grad_tables, *rest = zip(*grads, strict=True)
         grad_offsets, grad_attention = (None if part[0] is None else torch.stack(part, 1) for part in rest)
         return grad_offsets, grad_attention, None, *grad_tables
-
-
-def joined(parts: Sequence[Tensor]) -> Tensor:
-    """Return the parts one after the other, uncopied if there is only one."""
-    return parts[0] if len(parts) == 1 else torch.cat(list(parts))
 
 
 def deformable_sum(
