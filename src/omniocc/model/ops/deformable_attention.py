@@ -21,7 +21,7 @@ from omniocc.geometry import Grid
 from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
 from omniocc.model.ops.padded import joined
 from omniocc.model.ops.rig_cache import once_per_rig
-from omniocc.model.ops.visible import Anchors, Pairs, every_cell
+from omniocc.model.ops.visible import CENTRE, Anchors, Pairs, every_cell
 
 TOGETHER = 2**19
 """Samples of one level that are computed together on a CPU, at least those of one head."""
@@ -222,6 +222,20 @@ def _gather(
     first = level.first.view(4 * level.heads, -1)[: 4 * len(table)].flatten()
     sums = bag_sum(rows.flatten(), table.flatten(0, 1), first, weights.flatten())
     return sums.view(4, len(table), -1, table.shape[2]).sum(0)
+
+
+@once_per_rig
+def centres_of_every_cell(
+    rig: Rig, geometry: Grid, device: torch.device, height: int, width: int, dtype: torch.dtype
+) -> tuple[Int32[Tensor, " E"], Float[Tensor, " E"], Int32[Tensor, " 4Q"]]:
+    """Return rows, weights and bags of the samples at the middle of every cell, in maps that are height x width px.
+
+    A seen cell has four bags, one for each corner. The result is cached: never write to it.
+    """
+    level = level_of_every_cell(rig, geometry, device, CENTRE, height, width, 1, 1, dtype)
+    samples = _locate(level, level.places.new_zeros(1, 2, len(level.first) // 4, 1))
+    weights = _corner_weights(samples, torch.ones_like(samples.raw[:, 0]))
+    return (samples.row + level.steps).flatten(), weights.flatten(), level.first
 
 
 def _scatter(

@@ -146,8 +146,7 @@ def range_gaps(
     gap = torch.where(known, (seen - samples.distance_m) / step_m, 0)
     # at least 1 mm: no division by zero
     ratio = torch.where(known, seen.clamp(min=1e-3) / samples.distance_m.clamp(min=1e-3), 1)
-    parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
-    return torch.stack([part.mean(1) for part in parts], dim=1)
+    return torch.stack([known.float(), gap, gap / 4, ratio.log()], dim=1).clamp(-1, 1).mean(2)
 
 
 class RangeGaps(nn.Module):
