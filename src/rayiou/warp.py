@@ -62,9 +62,9 @@ def axes_of(
         steps.append((index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * math.prod(shape[axis + 1 :]))
     low = [-infinity if wraps else 0.0 for wraps in periodic]
     high = [infinity if wraps else float(cells) for cells, wraps in zip(shape, periodic, strict=True)]
-    columns = (torch.tensor(values, dtype=dtype, device=device)[:, None] for values in (low, high, shape))
+    columns = [torch.tensor(values, dtype=dtype, device=device)[:, None] for values in (low, high, shape)]
     starts = torch.tensor(zero, dtype=torch.int32, device=device)[:, None]
-    return Axes(*columns, torch.cat(steps).to(device), starts)
+    return Axes(columns[0], columns[1], columns[2], torch.cat(steps).to(device), starts)
 
 
 def trilinear(

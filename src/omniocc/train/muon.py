@@ -53,18 +53,19 @@ class MuonOptimizer(torch.optim.AdamW):
                 loss = closure()
         for group in self.param_groups:
             if "momentum" in group:
-                self._step_matrices([p for p in group["params"] if p.grad is not None], group)
+                self._step_matrices(group)
         super().step()
         return loss
 
-    def _step_matrices(self, parameters: list[Tensor], group: dict[str, Any]) -> None:
+    def _step_matrices(self, group: dict[str, Any]) -> None:
         """Step all matrices of a group together, and drop their gradients."""
-        if not parameters:
+        grads = {p: p.grad for p in group["params"] if p.grad is not None}
+        if not grads:
             return
-        grads, rate = [p.grad for p in parameters], group["lr"]
+        parameters, rate = list(grads), group["lr"]
         means = [self._momentum(p) for p in parameters]
-        torch._foreach_lerp_(means, grads, 1 - group["momentum"])
-        ahead = torch._foreach_lerp(grads, means, group["momentum"])
+        torch._foreach_lerp_(means, list(grads.values()), 1 - group["momentum"])
+        ahead = torch._foreach_lerp(list(grads.values()), means, group["momentum"])
         updates = orthogonal([matrix.flatten(1) for matrix in ahead])
         torch._foreach_mul_(updates, [RMS * max(update.shape) ** 0.5 for update in updates])
         torch._foreach_mul_(parameters, 1 - rate * group["weight_decay"])

@@ -333,7 +333,7 @@ class _DeformableSum(torch.autograd.Function):
         for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
             inputs = table, offsets[:, index], attention[:, index], grad.contiguous()
             heads = zip(*(part.split(level.heads) for part in inputs), strict=True)
-            found = [_backward(*part, level, fixed) for part in heads]
+            found = [_backward(*part, level=level, fixed=fixed) for part in heads]
             grads.append([None if part[0] is None else joined(part) for part in zip(*found, strict=True)])
         grad_tables, *rest = zip(*grads, strict=True)
         grad_offsets, grad_attention = (None if part[0] is None else torch.stack(part, 1) for part in rest)
