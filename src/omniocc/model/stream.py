@@ -10,6 +10,7 @@ from omniocc.camera import Rig
 from omniocc.model.hints import Known
 from omniocc.model.occupancy import OccupancyModel
 from omniocc.model.ops.padded import Images, joined
+from omniocc.model.ops.static import static_on_gpu
 from omniocc.model.protocols import Sketched, concatenate, part_of
 
 
@@ -70,8 +71,9 @@ class Stream:
         """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`."""
         window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
         self._number += 1
-        self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
-        return self._fuse([window])[0]
+        with static_on_gpu(images.device):
+            self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
+            return self._fuse([window])[0]
 
     @torch.no_grad()
     def windows(

@@ -1,4 +1,4 @@
-"""Networks whose shapes and branches do not depend on the data, as exported programs need them."""
+"""Networks whose shapes and branches do not depend on the data: exported programs, and streams on a GPU."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
