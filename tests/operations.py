@@ -37,7 +37,8 @@ SLOTS = {
 }
 """Parts of a source file's name and its slot; the innermost such file in the stack counts."""
 OTHERS = "others"
-NO_KERNEL = {"empty", "empty_like", "empty_strided", "new_empty", "lift_fresh", "set_", "_unsafe_view", "is_same_size"}
+EMPTY = {"empty", "empty_like", "empty_strided", "new_empty", "new_empty_strided"}
+NO_KERNEL = EMPTY | {"lift_fresh", "set_", "_unsafe_view", "is_same_size"}
 """Operations that compute nothing although they return no view."""
 WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "bincount", "equal", "_unique2", "unique_dim", "histc"}
 """Operations of which the processor waits for the result, or for its size."""
