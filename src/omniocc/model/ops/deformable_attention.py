@@ -227,7 +227,7 @@ def _gather(
 @once_per_rig
 def centres_of_every_cell(
     rig: Rig, geometry: Grid, device: torch.device, height: int, width: int, dtype: torch.dtype
-) -> tuple[Int32[Tensor, " E"], Float[Tensor, " E"], Int32[Tensor, " 4Q"]]:
+) -> tuple[Int32[Tensor, " E"], Float[Tensor, " E"], Int32[Tensor, " bags"]]:
     """Return rows, weights and bags of the samples at the middle of every cell, in maps that are height x width px.
 
     A seen cell has four bags, one for each corner. The result is cached: never write to it.
