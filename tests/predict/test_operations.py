@@ -17,6 +17,7 @@ KERNELS = 610
 @pytest.mark.slow(5)
 def test_a_frame_waits_for_nothing_and_starts_few_kernels():
     rig, watch = Rig.load("fisheye6").resized(256, 144), Stopwatch(torch.device("cpu"), STEPS)
+    # the stopwatch is the CPU's: a GPU's waits at the end of every step that it measures
     with SecondDevice():
         predictor, poses = Predictor(load("tiny").occupancy, None, (), CUDA), torch.eye(4).double().repeat(3, 1, 1)
         poses[:, 0, 3] = torch.arange(3)
