@@ -63,8 +63,7 @@ class Grid(Lattice):
         if len(windows) != len(edges_m) + 1 or not rising or min(*windows, behind) < 0:
             sizes = f"windows {tuple(windows)}, behind {behind} and edges_m {tuple(edges_m)}"
             raise ValueError(f"edges_m must increase, with one more window than edges, none negative; got {sizes}")
-        moves = _moves(self, tuple(windows), tuple(map(float, edges_m)), behind)
-        origin, target = (side.to(mask.device) for side in moves)
+        origin, target = _moves(self, tuple(windows), tuple(map(float, edges_m)), behind, mask.device)
         columns = mask.reshape(-1, self.shape[0] * self.shape[1], self.shape[2])
         # sums, not assignments: several cells may mark the same one
         marks = columns.to(torch.int16)
@@ -98,7 +97,7 @@ class Grid(Lattice):
 
     def corners(self, past_from_current: Float[Tensor, "4 4"], dtype: torch.dtype) -> Corners:
         """Return the cells and weights (of `dtype`) of one past volume for each current cell, row-major."""
-        position = self.coordinates(self._moved_centers(past_from_current))
+        position = self.scaled(self._moved_centers(past_from_current))
         return trilinear(position, self.shape, self.periodic, dtype)
 
     def warp_valid(self, past_from_current: Float[Tensor, "B 4 4"]) -> Bool[Tensor, "B X Y Z"]:
@@ -156,7 +155,7 @@ def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
 
 @lru_cache(maxsize=8)
 def _moves(
-    grid: Grid, windows: tuple[int, ...], edges_m: tuple[float, ...], behind: int
+    grid: Grid, windows: tuple[int, ...], edges_m: tuple[float, ...], behind: int, device: torch.device
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
     """Return pairs of columns as two tensors: one that marks, and one that it marks."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
@@ -169,7 +168,7 @@ def _moves(
         reach = window if offset < 0 else window + behind
         origin = ((reach >= abs(offset)) & inside).nonzero().flatten()
         pairs.append(torch.stack([origin, moved[origin]], dim=1))
-    origin, target = torch.cat(pairs).unique(dim=0).unbind(1)
+    origin, target = torch.cat(pairs).unique(dim=0).to(device).unbind(1)
     return origin, target
 
 

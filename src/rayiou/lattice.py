@@ -1,6 +1,7 @@
 """The cells of a grid: their layout, positions and boundaries; what tracing, dilation and all else is built on."""
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Float64, Int64
@@ -100,15 +101,17 @@ class Lattice(ABC):
 
     def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
         """Return the position along each axis in units of cells, at least in float32: cell i spans [i, i+1)."""
+        first, second, third = self.scaled(points).unbind()
+        return first, second, third
+
+    def scaled(self, points: Float[Tensor, "... 3"]) -> Float[Tensor, "3 ..."]:
+        """Return the result of `coordinates` as one tensor."""
         if points.dtype not in (torch.float32, torch.float64):
             points = points.float()
         # atan2 is an order of magnitude slower on strided input
         points = points.movedim(-1, 0).contiguous().movedim(0, -1)
-        scaled = [
-            (value - low) * (cells / (high - low))
-            for value, (low, high), cells in zip(self.to_axes(points), self.bounds, self.shape, strict=True)
-        ]
-        return scaled[0], scaled[1], scaled[2]
+        low, scale = (row.view(3, *[1] * (points.dim() - 1)) for row in _limits(self, points.dtype, points.device)[:2])
+        return (torch.stack(self.to_axes(points)) - low) * scale
 
     def index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "... 3"], Bool[Tensor, "..."]]:
         """Return the cell of each ego point (metres).
@@ -117,20 +120,38 @@ class Lattice(ABC):
             The index along each axis (for a point outside, that of the nearest cell) and whether the point is inside. A
             point that is not finite is outside.
         """
-        first, second, third, inside = self._cells(points)
+        first, second, third, inside = self._cells(self.scaled(points))
         return torch.stack([first, second, third], dim=-1), inside
 
     def flat_index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "..."], Bool[Tensor, "..."]]:
         """Return the result of `index` with one number per cell: the row-major index into a volume of `shape`."""
-        first, second, third, inside = self._cells(points)
+        return self.flat_cells(self.scaled(points))
+
+    def flat_cells(self, positions: Float[Tensor, "3 ..."]) -> tuple[Int64[Tensor, "..."], Bool[Tensor, "..."]]:
+        """Return the result of `flat_index` from positions that `scaled` returns."""
+        first, second, third, inside = self._cells(positions)
         return (first * self.shape[1] + second) * self.shape[2] + third, inside
 
-    def _cells(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        indices, inside = [], torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
-        for position, cells, periodic in zip(self.coordinates(points), self.shape, self.periodic, strict=True):
-            floor = position.floor()
-            inside &= floor.abs() <= cells if periodic else (floor >= 0) & (floor < cells)
-            # the angle is wrapped as an integer: float32 can round it up to a whole turn
-            whole = floor.nan_to_num(0.0).clamp(-1, cells).long()
-            indices.append(fold(whole, cells) if periodic else whole.clamp(0, cells - 1))
-        return indices[0], indices[1], indices[2], inside
+    def _cells(self, positions: Float[Tensor, "3 ..."]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        limits = _limits(self, positions.dtype, positions.device)[2:]
+        low, high, least, most = (row.view(3, *[1] * (positions.dim() - 1)) for row in limits)
+        floor = positions.floor()
+        inside = ((floor >= low) & (floor <= high)).all(0)
+        # the angle is wrapped as an integer: float32 can round it up to a whole turn
+        whole = floor.nan_to_num(0.0).clamp(least, most).long().unbind()
+        axes = zip(whole, self.shape, self.periodic, strict=True)
+        first, second, third = (fold(index, cells) if wraps else index for index, cells, wraps in axes)
+        return first, second, third, inside
+
+
+@lru_cache(maxsize=64)
+def _limits(grid: Lattice, dtype: torch.dtype, device: torch.device) -> tuple[Float[Tensor, "3"], ...]:
+    """Return for each axis: its lower end, cells per unit, first and last cell inside, first and last cell to keep.
+
+    An axis that wraps around has a turn inside at either side, and keeps a cell of it, which is folded.
+    """
+    columns = [
+        (low, cells / (high - low), *((-cells, cells, -1, cells) if wraps else (0, cells - 1, 0, cells - 1)))
+        for (low, high), cells, wraps in zip(grid.bounds, grid.shape, grid.periodic, strict=True)
+    ]
+    return torch.tensor(columns, dtype=torch.float64).T.to(device, dtype).unbind()

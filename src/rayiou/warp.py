@@ -1,5 +1,6 @@
 """Trilinear interpolation along the axes of a grid."""
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -31,43 +32,62 @@ def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
     return index + cells * ((index < 0).long() - (index >= cells).long())
 
 
+class Axes(NamedTuple):
+    """Constants of the three axes of a grid.
+
+    Attributes:
+        low: smallest position inside, in cells; -inf where an axis wraps around.
+        high: least position beyond it; inf where it wraps around.
+        cells: number of cells.
+        steps: row-major offsets of the indices -1 .. cells+1 of each axis, wrapping around or stopping at its ends.
+        zero: place of index 0 of each axis in `steps`.
+    """
+
+    low: Float[Tensor, "3 1"]
+    high: Float[Tensor, "3 1"]
+    cells: Float[Tensor, "3 1"]
+    steps: Int32[Tensor, " steps"]
+    zero: Int32[Tensor, "3 1"]
+
+
+@lru_cache(maxsize=64)
+def axes_of(
+    shape: tuple[int, int, int], periodic: tuple[bool, bool, bool], dtype: torch.dtype, device: torch.device
+) -> Axes:
+    """Return the constants of a grid's axes."""
+    steps, zero, infinity = [], [], float("inf")
+    for axis, (cells, wraps) in enumerate(zip(shape, periodic, strict=True)):
+        index = torch.arange(-1, cells + 2, dtype=torch.int32)
+        zero.append(sum(map(len, steps)) + 1)
+        steps.append((index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * math.prod(shape[axis + 1 :]))
+    low = [-infinity if wraps else 0.0 for wraps in periodic]
+    high = [infinity if wraps else float(cells) for cells, wraps in zip(shape, periodic, strict=True)]
+    columns = [torch.tensor(values, dtype=dtype, device=device)[:, None] for values in (low, high, shape)]
+    starts = torch.tensor(zero, dtype=torch.int32, device=device)[:, None]
+    return Axes(columns[0], columns[1], columns[2], torch.cat(steps).to(device), starts)
+
+
 def trilinear(
-    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]],
-    shape: tuple[int, int, int],
-    periodic: tuple[bool, bool, bool],
-    dtype: torch.dtype,
+    position: Float[Tensor, "3 N"], shape: tuple[int, int, int], periodic: tuple[bool, bool, bool], dtype: torch.dtype
 ) -> Corners:
     """Return the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
     `position` is along each axis in units of cells (`Grid.coordinates`; float64 keeps the identity pose exact).
     """
-    inside = torch.ones_like(position[0], dtype=torch.bool)
-    cells, weights, stride = [], [], shape[0] * shape[1] * shape[2]
-    for along, count, wraps in zip(position, shape, periodic, strict=True):
-        if not wraps:
-            inside &= (along >= 0) & (along < count)
-        stride //= count
-        offset = (along - 0.5).clamp(-1, count)
-        lower = (offset + SNAP_CELLS).floor()
-        fraction = offset - lower
-        fraction = (fraction * (fraction > SNAP_CELLS)).to(torch.promote_types(dtype, torch.float32))
-        steps, below = axis_steps(count, wraps, stride, along.device), lower.int() + 1
-        cells.append((steps.index_select(0, below), steps.index_select(0, below + 1)))
-        weights.append((1 - fraction, fraction))
-    weights[0] = (weights[0][0] * inside, weights[0][1] * inside)
-    # corner by corner on whole columns: much faster than broadcasting pairs
-    first, second, third = (list(zip(*sides, strict=True)) for sides in zip(cells, weights, strict=True))
-    columns = [(x + y, u * v) for x, u in first for y, v in second]
-    corners = [(xy + z, uv * w) for xy, uv in columns for z, w in third]
-    row, weight = (torch.stack(parts, dim=-1) for parts in zip(*corners, strict=True))
-    return Corners(row, weight.to(dtype), inside)
-
-
-@lru_cache(maxsize=64)
-def axis_steps(cells: int, wraps: bool, stride: int, device: torch.device) -> Int32[Tensor, " steps"]:
-    """Return the row-major offsets of indices -1 .. cells+1 of an axis, which wrap around or stop at its ends."""
-    index = torch.arange(-1, cells + 2, dtype=torch.int32, device=device)
-    return (index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * stride
+    axes = axes_of(shape, periodic, position.dtype, position.device)
+    inside = ((position >= axes.low) & (position < axes.high)).all(0)
+    offset = (position - 0.5).clamp(-torch.ones_like(axes.cells), axes.cells)
+    lower = (offset + SNAP_CELLS).floor()
+    fraction = offset - lower
+    fraction = (fraction * (fraction > SNAP_CELLS)).to(torch.promote_types(dtype, torch.float32))
+    below = lower.int() + axes.zero
+    first, second, third = axes.steps.index_select(0, torch.cat([below, below + 1]).flatten()).view(2, 3, -1).unbind(1)
+    along, across, up = torch.stack([1 - fraction, fraction]).unbind(1)
+    along = along * inside
+    # corner by corner on whole columns: much faster than with the corners of a point side by side
+    row = (first[:, None, None] + second[:, None]) + third
+    weight = (along[:, None, None] * across[:, None]) * up
+    return Corners(row.flatten(0, 2).T.contiguous(), weight.flatten(0, 2).T.contiguous().to(dtype), inside)
 
 
 def interpolate(rows: Float[Tensor, "M C"], corners: Corners) -> Float[Tensor, "N C"]:

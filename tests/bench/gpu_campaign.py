@@ -31,7 +31,7 @@ from omniocc.metric import RayIoU
 from omniocc.model import Stream
 from omniocc.model.lifter.lift_splat import find_entries, splat
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
-from omniocc.model.ops.depth.projection import Projection, alternate_cameras, field_weight, samplers, table
+from omniocc.model.ops.depth.projection import Present, Projection, alternate_cameras, field_weight, samplers, table
 from omniocc.model.ops.padding import pad3d
 from omniocc.model.ops.visible import every_cell
 from omniocc.model.sketch import Dense
@@ -157,11 +157,11 @@ def attention_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     maps = torch.randn(1, len(rig.cameras), heads, channels, height, width, device=device, requires_grad=True)
     offsets = torch.randn(heads, 1, 2, len(pairs.counts), points, device=device, requires_grad=True)
     weights = torch.rand(heads, 1, len(pairs.counts), points, device=device, requires_grad=True)
-    level = make_level(pairs, height, width, points, torch.float32)
+    level = make_level(pairs, height, width, points, heads, torch.float32)
     size = torch.tensor([width, height], device=device)
 
     def ours() -> Tensor:
-        return deformable_sum([make_table(maps)], offsets, weights, pairs, [level])
+        return deformable_sum([make_table(maps)], offsets, weights, [level])
 
     def plain() -> Tensor:
         sums = maps.new_zeros(len(pairs.counts), heads, channels)
@@ -186,7 +186,7 @@ def sweep_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     planes = tuple(float(plane) for plane in range(spheres.count))
     blocks = samplers(rig, Projection(depth.swept, spheres, size, cameras, planes), device)
     features = torch.randn(1, len(rig.cameras), channels, size[1], size[0], device=device, requires_grad=True)
-    present = torch.ones(1, len(rig.cameras), dtype=torch.bool, device=device)
+    present = Present(torch.ones(1, len(rig.cameras), dtype=torch.bool, device=device), True)
     rays = depth.swept.rays().double().reshape(-1, 3)
     points_m = torch.cat([rays * (1 / (k * spheres.step_per_m) if k else 1e6) for k in planes])
     pixels, valid = rig.project(points_m)

@@ -54,6 +54,8 @@ def part_of(fields: Fields, *index: Any) -> Fields:
 
 def concatenate(parts: Sequence[Fields]) -> Fields:
     """Return one batch with the samples of several; a field must be None in all of them or in none."""
+    if len(parts) == 1:
+        return parts[0]
     columns = zip(*parts, strict=True)
     return type(parts[0])(*(None if column[0] is None else torch.cat(column) for column in columns))  # type: ignore
 

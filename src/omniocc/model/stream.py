@@ -9,7 +9,8 @@ from torch import Tensor
 from omniocc.camera import Rig
 from omniocc.model.hints import Known
 from omniocc.model.occupancy import OccupancyModel
-from omniocc.model.ops.padded import Images
+from omniocc.model.ops.padded import Images, joined
+from omniocc.model.ops.static import static_on_gpu
 from omniocc.model.protocols import Sketched, concatenate, part_of
 
 
@@ -70,8 +71,9 @@ class Stream:
         """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`."""
         window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
         self._number += 1
-        self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
-        return self._fuse([window])[0]
+        with static_on_gpu(images.device):
+            self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
+            return self._fuse([window])[0]
 
     @torch.no_grad()
     def windows(
@@ -114,15 +116,17 @@ class Stream:
         lifted = self.model.lift(images, rigs, sketched)
         known = self.model.compute_hints(lifted, rigs)
         for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
-            # copies: views would keep what belongs to the whole batch
-            own = part_of(lifted.sketched, [index]), part_of(known, [index])
-            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), *own, pose)
+            frame = Remembered(lifted.volume, lifted.sketched, known, pose)
+            if len(keys) > 1:  # copies: views would keep what belongs to the whole batch
+                own = part_of(lifted.sketched, [index]), part_of(known, [index])
+                frame = Remembered(lifted.volume[index : index + 1].clone(), *own, pose)
+            self._frames[key] = frame
 
     def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
         """Return logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
         there = self._frames
         frames = [[there.get(key, there[window[-1]]) for key in window] for window in windows]
-        volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
+        volumes = [joined([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in there for key in window] for window in windows], device=poses.device)
         sketched, known = (

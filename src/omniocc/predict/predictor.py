@@ -17,6 +17,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
+from omniocc.model.ops.static import static_on_gpu
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.schedule import History, schedule
@@ -207,18 +208,20 @@ class Predictor:
         images, pose = given.images.to(self.device), given.world_from_ego
         pose = torch.eye(4, dtype=torch.float64) if pose is None else pose
         try:
-            sketched, depth = self._choose(images, given, watch)
-            with watch("occupancy"):
-                unmasked = mask_cameras(given.rig, self.excluded)
-                self._views.append((unmasked, pose))
-                logits = self.stream.step(images[0], unmasked, pose.to(self.device), sketched)
-                labels, probability = (part.cpu() for part in decide(logits, self.occupied_above))
-                seen = seen_cells(self.model.geometry, self._views, pose)
+            with static_on_gpu(self.device):
+                sketched, depth = self._choose(images, given, watch)
+                with watch("occupancy"):
+                    unmasked = mask_cameras(given.rig, self.excluded)
+                    self._views.append((unmasked, pose))
+                    decided = decide(self.stream.step(images[0], unmasked, pose, sketched), self.occupied_above)
+                    range_m = None if depth is None else depth.known_range_m()[0]
+                    seen = seen_cells(self.model.geometry, self._views, pose)  # while a GPU still computes the rest
+                    labels, probability = (part.cpu() for part in decided)
         except ValueError as error:
             raise UserError(str(error)) from error
-        if not bool(logits.isfinite().all()):
+        if not bool(probability.isfinite().all()):
             raise UserError(NOT_FINITE)
-        range_m = None if depth is None else depth.known_range_m()[0].cpu()
+        range_m = None if range_m is None else range_m.cpu()
         return PredictedFrame(labels, sketched.candidates[0].cpu(), range_m, probability, seen)
 
     def _choose(self, images: Tensor, given: Input, watch: Stopwatch) -> tuple[Sketched, DepthMap | None]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.bounds import Kept
+from omniocc.model.ops.padded import grouped
 from omniocc.train.adamw import AdamW
 
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
@@ -51,23 +52,33 @@ class MuonOptimizer(torch.optim.AdamW):
             with torch.enable_grad():
                 loss = closure()
         for group in self.param_groups:
-            for parameter in group["params"] if "momentum" in group else ():
-                if parameter.grad is not None:
-                    self._step_matrix(parameter, parameter.grad, group)
-                    parameter.grad = None
+            if "momentum" in group:
+                self._step_matrices(group)
         super().step()
         return loss
 
-    def _step_matrix(self, parameter: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
+    def _step_matrices(self, group: dict[str, Any]) -> None:
+        """Step all matrices of a group together, and drop their gradients."""
+        grads = {p: p.grad for p in group["params"] if p.grad is not None}
+        if not grads:
+            return
+        parameters, rate = list(grads), group["lr"]
+        means = [self._momentum(p) for p in parameters]
+        torch._foreach_lerp_(means, list(grads.values()), 1 - group["momentum"])
+        ahead = torch._foreach_lerp(list(grads.values()), means, group["momentum"])
+        updates = orthogonal([matrix.flatten(1) for matrix in ahead])
+        torch._foreach_mul_(updates, [RMS * max(update.shape) ** 0.5 for update in updates])
+        torch._foreach_mul_(parameters, 1 - rate * group["weight_decay"])
+        torch._foreach_add_(parameters, [u.view_as(p) for u, p in zip(updates, parameters, strict=True)], alpha=-rate)
+        for parameter in parameters:
+            parameter.grad = None
+
+    def _momentum(self, parameter: Tensor) -> Tensor:
         state = self.state[parameter]
         if not state:
             # AdamW loads no state without `step`
             state["momentum"], state["step"] = torch.zeros_like(parameter), torch.zeros(())
-        mean = state["momentum"].lerp_(grad, 1 - group["momentum"])
-        ahead = grad.lerp(mean, group["momentum"]).flatten(1)
-        update = orthogonal(ahead) * (RMS * max(ahead.shape) ** 0.5)
-        parameter.mul_(1 - group["lr"] * group["weight_decay"])
-        parameter.add_(update.view_as(parameter), alpha=-group["lr"])
+        return state["momentum"]
 
 
 def is_matrix(parameter: Tensor) -> bool:
@@ -75,13 +86,30 @@ def is_matrix(parameter: Tensor) -> bool:
     return parameter.ndim >= 2 and len(parameter) >= LEAST_SIDE and parameter[0].numel() >= LEAST_SIDE
 
 
-def orthogonal(matrix: Float[Tensor, "M N"]) -> Float[Tensor, "M N"]:
-    """Return a matrix with the same singular vectors and singular values of about 1 (0.7 to 1.2)."""
-    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T  # so that `square` is the smaller product
-    # divided by the norm no singular value is above 1, where the iteration converges
-    wide = wide.float() / wide.norm().clamp(min=1e-7)
+def orthogonal(matrices: list[Float[Tensor, "_ _"]]) -> list[Float[Tensor, "_ _"]]:
+    """Return matrices with the same singular vectors and singular values of about 1 (0.7 to 1.2).
+
+    The iteration `X <- p(X X^T) X` only multiplies from the left, by polynomials of X X^T. These are computed from the
+    small squares alone, for all matrices of one number of rows together, and applied once.
+    """
+    wide = [matrix.float() if len(matrix) <= matrix.shape[1] else matrix.float().T for matrix in matrices]
+    found = list(wide)
+    for places in grouped(map(len, wide)).values():
+        factors = polynomials(torch.stack([wide[place] @ wide[place].T for place in places]))
+        for place, factor in zip(places, factors.unbind(), strict=True):
+            found[place] = factor @ wide[place]
+    return [update if len(matrix) == len(update) else update.T for matrix, update in zip(matrices, found, strict=True)]
+
+
+def polynomials(squares: Float[Tensor, "K M M"]) -> Float[Tensor, "K M M"]:
+    """Return the matrices by which the Newton-Schulz iteration multiplies each X in all, from X X^T."""
+    # divided by the norm of X no singular value is above 1, where the iteration converges
+    norm = squares.diagonal(dim1=1, dim2=2).sum(1).sqrt().clamp(min=1e-7)[:, None, None]
+    square = squares / norm**2
+    product = torch.eye(squares.shape[1], device=squares.device) / norm
     first, third, fifth = COEFFICIENTS
     for _ in range(ITERATIONS):
-        square = wide @ wide.T
-        wide = first * wide + (third * square + fifth * square @ square) @ wide
-    return wide if matrix.shape[0] <= matrix.shape[1] else wide.T
+        factor = torch.baddbmm(square, square, square, beta=third, alpha=fifth)
+        factor.diagonal(dim1=1, dim2=2).add_(first)
+        product, square = torch.bmm(factor, product), torch.bmm(torch.bmm(factor, square), factor)
+    return product

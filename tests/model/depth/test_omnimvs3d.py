@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from omniocc.model.depth.omnimvs3d import VolumeNet, resize_panorama
+from omniocc.model.ops.depth.projection import Present
 
 
 @pytest.mark.parametrize("roll", [2, 8])
@@ -29,7 +30,7 @@ def test_sizes_that_do_not_fit_are_named(small):
 
 
 def test_equal_features_have_no_variance_in_half_precision_either(small, fisheye):
-    net, present = small("OmniMVS3D"), torch.ones(1, 6, dtype=torch.bool)
+    net, present = small("OmniMVS3D"), Present(torch.ones(1, 6, dtype=torch.bool), True)
     features = torch.randn(1, 1, 4, 1, 1).expand(1, 6, 4, 16, 32).bfloat16()
     variance = net.sweep(features, present, fisheye)[0][:, 4:]
     assert variance.abs().max() < 1e-5

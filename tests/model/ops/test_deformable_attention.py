@@ -2,6 +2,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
+from omniocc.model.ops import deformable_attention
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
 from omniocc.model.ops.visible import Pairs
 
@@ -28,8 +29,8 @@ def inputs(pairs):
 
 
 def ours(pairs, offsets, attention, *maps):
-    levels = [make_level(pairs, *size, POINTS, torch.float64) for size in SIZES]
-    sums = deformable_sum([make_table(level) for level in maps], offsets, attention, pairs, levels)
+    levels = [make_level(pairs, *size, POINTS, HEADS, torch.float64) for size in SIZES]
+    sums = deformable_sum([make_table(level) for level in maps], offsets, attention, levels)
     return sums.unflatten(-1, (SAMPLES, CHANNELS))
 
 
@@ -53,6 +54,15 @@ def test_values_and_gradients_are_those_of_grid_sample(assert_same_gradients, an
     tensors = inputs(pairs)
     result, expected = ours(pairs, *tensors), by_grid_sample(pairs, *tensors)
     assert_same_gradients(result, expected, tensors)
+
+
+def test_heads_one_at_a_time_give_the_same_as_together(assert_same_gradients, monkeypatch):
+    pairs = make_pairs()
+    tensors = inputs(pairs)
+    together = ours(pairs, *tensors)
+    monkeypatch.setattr(deformable_attention, "TOGETHER", 1)
+    assert make_level(pairs, *SIZES[0], POINTS, HEADS, torch.float64).heads == 1
+    assert_same_gradients(ours(pairs, *tensors), together, tensors)
 
 
 def test_a_query_no_camera_sees_gets_zeros():

@@ -66,7 +66,7 @@ def test_encoder_against_loops(grid):
             if not inside:
                 continue
             x, y, z = cell.tolist()
-            feature = point_features(point[None], grid)
+            feature = point_features(point[None], grid.scaled(point[None]), grid)
             encoded = encoder.out(encoder.hidden(feature).relu()).relu()[0]
             expected[sample, :, x, y, z] = torch.maximum(expected[sample, :, x, y, z], encoded)
             seen[sample, 0, x, y, z] = 1
@@ -80,7 +80,7 @@ def test_features_of_a_point_by_hand():
     azimuth = math.radians(40)
     point = torch.tensor([[2.25 * math.cos(azimuth), 2.25 * math.sin(azimuth), 0.5]])
     expected = [-0.25, 1 / 3 - 0.5, 0.0, 2.25 / 4 - 1, 0.25, math.hypot(2.25, 0.5) / 7.5]
-    assert point_features(point, grid)[0].tolist() == pytest.approx(expected, abs=1e-5)
+    assert point_features(point, grid.scaled(point), grid)[0].tolist() == pytest.approx(expected, abs=1e-5)
 
 
 def test_turning_the_points_by_whole_cells_turns_the_features():

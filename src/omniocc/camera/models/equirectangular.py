@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Float32
@@ -68,9 +69,15 @@ class Equirectangular:
         return rays, valid
 
     def rays(self, device: torch.device | str = "cpu") -> Float32[Tensor, "height width 3"]:
-        """Return the unit ray of every pixel in the ego frame."""
-        return self.unproject(pixel_centers(self.width, self.height, torch.float64, device))[0].float()
+        """Return the unit ray of every pixel in the ego frame; never write to the result, which is cached."""
+        return _rays(self, torch.device(device))
 
     def resized(self, width: int, height: int) -> "Equirectangular":
         """See `Camera.resized`."""
         return replace(self, width=width, height=height)
+
+
+@lru_cache(maxsize=64)
+def _rays(camera: Equirectangular, device: torch.device) -> Float32[Tensor, "height width 3"]:
+    with torch.inference_mode(False):  # training may use it as well
+        return camera.unproject(pixel_centers(camera.width, camera.height, torch.float64, device))[0].float()

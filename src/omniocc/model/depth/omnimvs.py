@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import torch
@@ -14,6 +15,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.parallax import pixels_per_metre
 from omniocc.model.ops.depth.layers import FeatureNet, PanoramaConv, UNet2d
 from omniocc.model.ops.depth.projection import (
+    Present,
     Projection,
     Sampler,
     alternate_cameras,
@@ -26,7 +28,7 @@ from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.ops.efficientnet import FrozenLite0
 from omniocc.model.ops.norm import group_norm
-from omniocc.model.ops.padded import Rigs
+from omniocc.model.ops.padded import Rigs, joined
 from omniocc.model.ops.padding import upsample_view
 from omniocc.model.ops.rig_cache import once_per_rig
 
@@ -65,6 +67,13 @@ def rig_hints(rig: Rig, panorama: Equirectangular, spheres: Spheres) -> Float32[
         range_m = rig.road_z_m / rays[..., 2].clamp(max=-1e-6)
         road = torch.where(rays[..., 2] < 0, spheres.index(range_m.clamp(min=FAR_BELOW_M)) / spheres.count, 0)
     return torch.stack([*parallax, cameras.clamp(max=1), road.clamp(max=1), known]).float()
+
+
+@lru_cache(maxsize=16)
+def row_hint(height: int, device: torch.device) -> Float32[Tensor, "h 1"]:
+    """Return 1 at the upper edge of a panorama to -1 at the lower one."""
+    with torch.inference_mode(False):  # training may use it as well
+        return (1 - 2 * (torch.arange(height, device=device) + 0.5) / height)[:, None]
 
 
 class OmniMVS(SphereNet):
@@ -169,19 +178,17 @@ class OmniMVS(SphereNet):
         return logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
 
     def sweep(
-        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
+        self, features: Float[Tensor, "B N C _ _"], present: Present, rig: Rig
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B 1 h w"]]:
         """Return the input of the 2D network, and the mask of directions that any camera sees."""
         match, context = features.split([self.match_channels, features.shape[2] - self.match_channels], 2)
         rows, blocks = table(match, present), self._samplers(match, rig, self.spheres.planes)
         parts = [similarity(rows, *pair, present, self.groups) for pair in blocks]
-        agreement, *fractions = (torch.cat(part) for part in zip(*parts, strict=True))
+        agreement, *fractions = (joined(part) for part in zip(*parts, strict=True))
         one, two = (self._maps(fraction[..., None]) for fraction in fractions)
         both, either = torch.minimum(one, two).mean(1, keepdim=True), torch.maximum(one, two).mean(1, keepdim=True)
-        height = self.swept.height
-        row = 1 - 2 * (torch.arange(height, device=features.device) + 0.5) / height
         maps = [self._maps(part) for part in (agreement, *self._views(context, present, rig))]
-        inputs = [*maps, both, either, row[:, None].expand_as(both)]
+        inputs = [*maps, both, either, row_hint(self.swept.height, features.device).expand_as(both)]
         if self.hints:
             inputs.append(rig_hints(rig, self.swept, self.rig_spheres(rig)).to(either).expand(len(either), -1, -1, -1))
         return torch.cat(inputs, 1), either > 0
@@ -199,13 +206,11 @@ class OmniMVS(SphereNet):
             rigs = tuple(replace(rig, road_z_m=None) for rig in rigs)
         return super().weighted_losses(images, rigs, erp_range_m, camera_range_m, generator)
 
-    def _views(
-        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
-    ) -> list[Float[Tensor, "P B C"]]:
+    def _views(self, context: Float[Tensor, "B N C _ _"], present: Present, rig: Rig) -> list[Float[Tensor, "P B C"]]:
         """Return the mean and the absolute difference of the features of the two sets on some spheres."""
         rows, planes = table(context, present), tuple(part * (self.spheres.count - 1) for part in CONTEXT_SPHERES)
         blocks = zip(*self._samplers(context, rig, planes), strict=True)
-        one, two = (torch.cat([sampler.mean(rows, present)[0] for sampler in side]) for side in blocks)
+        one, two = (joined([sampler.mean(rows, present)[0] for sampler in side]) for side in blocks)
         return [(one + two) / 2, (one - two).abs()]
 
     def _samplers(

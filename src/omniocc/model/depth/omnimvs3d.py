@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from omniocc.bounds import CountOrNone, Fraction, Size
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.layers import FeatureNet
-from omniocc.model.ops.depth.projection import Projection, samplers, table
+from omniocc.model.ops.depth.projection import Present, Projection, samplers, table
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, residual3d, upsample
@@ -67,7 +67,7 @@ class OmniMVS3D(SphereNet):
         return resize_panorama(self.net(swept), self.panorama.height, self.panorama.width)
 
     def sweep(
-        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
+        self, features: Float[Tensor, "B N C _ _"], present: Present, rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
         """Return mean and variance on all spheres, and the mask of directions that any camera sees."""
         features = features.float()  # in half precision the variance, a difference of squares, would be rounding noise

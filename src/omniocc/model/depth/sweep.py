@@ -13,7 +13,7 @@ from omniocc.bounds import Fraction
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index
 from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
-from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.projection import Present, Projection, present_cameras, samplers, table
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padded import frame_size
 
@@ -58,7 +58,7 @@ class Sweep(PanoramaDepth):
 
     def _scores(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> Iterator[Float[Tensor, "B D h w"]]:
         """Yield the mean correlation block by block of spheres."""
-        present = present_cameras(images)
+        present = Present.of(present_cameras(images))
         grey = F.interpolate(images.float().mean(2), self._working_size(rig), mode="area")
         size = grey.shape[-1], grey.shape[-2]
         sweeps = [
@@ -71,7 +71,7 @@ class Sweep(PanoramaDepth):
         for block in zip(*cameras, strict=True):
             swept = torch.stack([sampler(rows).T.unflatten(1, shape) for sampler in block], 2)
             seen = torch.stack([sampler.seen.unflatten(0, shape) for sampler in block], 1)
-            compared = (seen & present[:, None, :, None, None]).flatten(0, 1)
+            compared = (seen & present.mask[:, None, :, None, None]).flatten(0, 1)
             score = correlation(swept.flatten(0, 1), compared, self.window_px)
             yield score.unflatten(0, swept.shape[:2])
 

@@ -1,6 +1,7 @@
 """The coloring module: candidate voxels attend to image features (paper, section IV-C, eq. 1)."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,6 +15,7 @@ from omniocc.model.ops.deformable_attention import (
     Level,
     SampledAttention,
     deformable_sum,
+    level_of_every_cell,
     make_level,
     make_table,
     ring_offsets,
@@ -79,7 +81,7 @@ class Coloring(nn.Module):
         self.lens: Lens = lens
         self.channels = channels
         self.strides = list(levels)
-        self.points = points
+        self.points, self.heads = points, heads
         self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
         first, second = nn.Linear(self.positions.shape[1], channels), nn.Linear(channels, channels)
@@ -149,20 +151,24 @@ class Coloring(nn.Module):
         whole = is_static()  # the result is the same, since queries do not attend to each other
         key = rig, self.geometry, marked.device, self.anchors
         cells, seen, pairs = every_cell(*key) if whole else marked_cells(marked, *key)
-        embedding = self.embedding(self.positions[cells])
+        embedding = self.embedding(self.positions if whole else self.positions[cells])
         if self.evidence is not None and evidence is not None:
-            embedding = embedding + self.evidence(evidence[cells])
+            embedding = embedding + self.evidence(evidence if whole else evidence[cells])
         others = self.empty[None, None] if start is None else self.empty + start
-        embedding = embedding[None] if start is None else embedding + start[:, cells]
+        embedding = embedding[None] if start is None else embedding + (start if whole else start[:, cells])
         queries = embedding[:, seen]
         dtype = torch.promote_types(embedding.dtype, torch.float32)
-        levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
+        sizes = [level.shape[-2:] for level in features]
+        make = partial(level_of_every_cell, *key) if whole else partial(make_level, pairs)
+        levels = [make(*size, self.points, self.heads, dtype) for size in sizes]
         for layer in self.layers:
             queries = layer(queries, features, pairs, levels)
-        others = others.to(queries.dtype).expand(-1, len(marked), -1)
-        volume = others.index_copy(1, cells, embedding.to(queries.dtype))
-        volume = volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
-        return torch.where(marked[:, None], volume, others) if whole else volume
+        embedding, others = embedding.to(queries.dtype), others.to(queries.dtype).expand(-1, len(marked), -1)
+        if whole:
+            volume = embedding.expand(batch, -1, -1).index_copy(1, seen, queries)
+            return torch.where(marked[:, None], volume, others)
+        volume = others.index_copy(1, cells, embedding)
+        return volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
 
 
 def position_features(geometry: Grid) -> Float[Tensor, "cells D"]:
@@ -220,7 +226,7 @@ class CrossAttention(SampledAttention):
             dtype = torch.promote_types(queries.dtype, torch.float32)
             offsets, attention = self._sampling(queries.to(dtype))
             tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
-            sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
+            sums = deformable_sum(tables, offsets, attention, levels) / pairs.counts[:, None]
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:

@@ -2,7 +2,8 @@
 
 `grid_sample` and a sum write every sample to memory, and the backward pass scatters every corner of every sample. Here
 a query's samples are one bag of weighted rows (`embedding_bag`) and are never stored; backward, the samples are sorted
-by pixel and the same operation is applied. Memory grows only with the samples of one head and level.
+by pixel and the same operation is applied. All heads of a level are computed together, or as many at a time as have
+`TOGETHER` samples, on which memory depends.
 """
 
 import math
@@ -15,8 +16,16 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from omniocc.model.ops.multilinear import add_to_corners, bag_sum, corners, inner_products, sum_samples
-from omniocc.model.ops.visible import Pairs
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
+from omniocc.model.ops.padded import joined
+from omniocc.model.ops.rig_cache import once_per_rig
+from omniocc.model.ops.visible import CENTRE, Anchors, Pairs, every_cell
+
+TOGETHER = 2**19
+"""Samples of one level that are computed together on a CPU, at least those of one head."""
+TOGETHER_ON_GPU = 2**23
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
@@ -95,41 +104,45 @@ def unravel(
 
 
 class Level(NamedTuple):
-    """Reference points of the K samples of each pair on one level, before offsets.
+    """Reference points of the K samples of each pair on one level, before offsets, and the bags of the samples.
 
     Positions are pixels of the level's maps padded by one pixel of zeros, (0, 0) being the centre of the padded corner.
 
     Attributes:
-        x: reference column.
-        y: reference row.
+        places: reference column and row.
+        last: of the column and of the row, the last one of the padded maps.
         row: table row of the padded corner of the pair's camera.
         width: of the padded maps.
-        height: of the padded maps.
+        steps: table rows from the upper left corner of a sample to its four corners.
+        heads: that are computed together.
+        query: of each head and pair in turn, the row of its query in tables of all heads one below the other.
+        first: of each corner, head and query in turn, the first of its samples.
     """
 
-    x: Float[Tensor, "P K"]
-    y: Float[Tensor, "P K"]
-    row: Int32[Tensor, "P K"]
+    places: Float[Tensor, "2 P K"]
+    last: Float[Tensor, "2 1 1"]
+    row: Int32[Tensor, "P 1"]
     width: int
-    height: int
+    steps: Int32[Tensor, "4 1 1 1"]
+    heads: int
+    query: Int64[Tensor, " HP"]
+    first: Int32[Tensor, " bags"]
 
 
 class Samples(NamedTuple):
-    """Bilinear samples of one head and level.
+    """Bilinear samples of some heads on one level.
 
     Attributes:
         row: table row of the upper left corner.
-        fx: fraction towards the right corners.
-        fy: fraction towards the lower corners.
-        inside_x: false where a position was clamped along x to the padding, which stops its gradient.
-        inside_y: false where a position was clamped along y.
+        fraction: towards the right corners, and towards the lower ones.
+        raw: column and row before they were clamped to the padding.
+        position: column and row.
     """
 
-    row: Int32[Tensor, "P K"]
-    fx: Float[Tensor, "P K"]
-    fy: Float[Tensor, "P K"]
-    inside_x: Tensor
-    inside_y: Tensor
+    row: Int32[Tensor, "H P K"]
+    fraction: Float[Tensor, "H 2 P K"]
+    raw: Float[Tensor, "H 2 P K"]
+    position: Float[Tensor, "H 2 P K"]
 
 
 def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
@@ -140,161 +153,197 @@ def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
     return F.pad(maps, (1, 1, 1, 1)).permute(2, 1, 4, 5, 0, 3).flatten(4).flatten(1, 3)
 
 
-def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.dtype) -> Level:
+def make_level(pairs: Pairs, height: int, width: int, points: int, heads: int, dtype: torch.dtype) -> Level:
     """Return reference points of the pairs on a level whose maps are height x width px; anchors share the samples."""
-    u, v = pairs.points.to(dtype).repeat_interleave(points // pairs.points.shape[1], dim=1).unbind(-1)
-    x = ((u + 1) * width + 1) / 2
-    y = ((v + 1) * height + 1) / 2
-    row = pairs.camera.int() * ((height + 2) * (width + 2))
-    return Level(x, y, row[:, None].expand(-1, points).contiguous(), width + 2, height + 2)
+    anchors = pairs.points.to(dtype).movedim(-1, 0).repeat_interleave(points // pairs.points.shape[1], dim=-1)
+    size = anchors.new_tensor([width, height]).view(2, 1, 1)
+    row = pairs.camera.int()[:, None] * ((height + 2) * (width + 2))
+    entries = len(row) * points
+    together = TOGETHER_ON_GPU if row.device.type == "cuda" else TOGETHER
+    heads = min(heads, max(1, together // max(entries, 1)))
+    number = torch.arange(4 * heads, device=row.device)[:, None]
+    query = (number[: 2 * heads] * len(pairs.first) + pairs.query).flatten()  # for two numbers each
+    first = (number * entries + pairs.first * points).flatten().int()
+    steps = row.new_tensor([0, 1, width + 2, width + 3]).view(4, 1, 1, 1)
+    return Level(((anchors + 1) * size + 1) / 2, size + 1, row, width + 2, steps, heads, query, first)
 
 
-def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the lower corner, the fraction, and whether the position is on the padded map."""
-    raw = anchor + offset
-    position = raw.clamp(0, size - 1)
-    lower = position.floor().clamp_(max=size - 2)  # the upper corner is on the map too
-    return lower, position - lower, raw == position
+@once_per_rig
+def level_of_every_cell(
+    rig: Rig,
+    geometry: Grid,
+    device: torch.device,
+    anchors: Anchors,
+    height: int,
+    width: int,
+    points: int,
+    heads: int,
+    dtype: torch.dtype,
+) -> Level:
+    """Return the result of `make_level` for the pairs of `every_cell`; never write to the result, which is cached."""
+    return make_level(every_cell(rig, geometry, device, anchors)[2], height, width, points, heads, dtype)
 
 
-def _locate(level: Level, query: Int64[Tensor, " P"], offsets: Float[Tensor, "2 Q K"]) -> Samples:
-    x, fx, inside_x = _axis(level.x, offsets[0].index_select(0, query), level.width)
-    y, fy, inside_y = _axis(level.y, offsets[1].index_select(0, query), level.height)
+def _of_pairs(level: Level, values: Float[Tensor, "*H Q K"]) -> Float[Tensor, "*H P K"]:
+    """Return each pair's values of its query."""
+    rows = values.flatten(0, -2)
+    count = values.shape[:-2].numel() * len(level.row)
+    return rows.index_select(0, level.query[:count]).view(*values.shape[:-2], -1, values.shape[-1])
+
+
+def _locate(level: Level, offsets: Float[Tensor, "H 2 Q K"]) -> Samples:
+    raw = level.places + _of_pairs(level, offsets)
+    position = raw.clamp(min=0).minimum(level.last)
+    lower = position.floor().minimum(level.last - 1)  # the upper corner is on the map too
     # exact in float32 up to 2**24 pixels; the index of a NaN is valid, its fraction remains NaN
-    row = torch.add(x, y, alpha=level.width).int().clamp_(min=0).add_(level.row)
-    return Samples(row, fx, fy, inside_x, inside_y)
+    row = torch.add(lower[:, 0], lower[:, 1], alpha=level.width).int().clamp_(min=0).add_(level.row)
+    return Samples(row, position - lower, raw, position)
 
 
-def _corner_steps(width: int) -> tuple[int, int, int, int]:
-    return 0, 1, width, width + 1
+def _corner_weights(samples: Samples, weight: Float[Tensor, "H P K"]) -> Float[Tensor, "4 H P K"]:
+    fx, fy = samples.fraction.unbind(1)
+    lower = weight * fy
+    rows = torch.stack([weight - lower, lower])
+    right = rows * fx
+    return torch.stack([rows - right, right], 1).flatten(0, 1)
 
 
-def _corner_weights(samples: Samples, weight: Float[Tensor, "P K"]) -> list[Float[Tensor, "P K"]]:
-    lower = weight * samples.fy
-    upper = weight - lower
-    right, low_right = upper * samples.fx, lower * samples.fx
-    return [upper - right, right, lower - low_right, low_right]
+def _corner_rows(samples: Samples, level: Level, size: int) -> Int32[Tensor, "4 H P K"]:
+    """Return rows of the tables of all heads, one below the other."""
+    heads = torch.arange(0, len(samples.row) * size, size, dtype=torch.int32, device=level.steps.device)
+    return samples.row + (level.steps + heads[:, None, None])
 
 
 def _gather(
-    table: Float[Tensor, "R C"], samples: Samples, weight: Float[Tensor, "P K"], first: Int64[Tensor, " Q"], width: int
-) -> Float[Tensor, "Q C"]:
+    table: Float[Tensor, "H R C"], samples: Samples, weight: Float[Tensor, "H P K"], level: Level
+) -> Float[Tensor, "H Q C"]:
     """Return the weighted sum of the samples of each query."""
-    bags = (first * weight.shape[1]).int()
-    weighted = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
-    sums = [bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in weighted]
-    return torch.stack(sums).sum(0)
+    rows, weights = _corner_rows(samples, level, table.shape[1]), _corner_weights(samples, weight)
+    first = level.first.view(4 * level.heads, -1)[: 4 * len(table)].flatten()
+    sums = bag_sum(rows.flatten(), table.flatten(0, 1), first, weights.flatten())
+    return sums.view(4, len(table), -1, table.shape[2]).sum(0)
+
+
+@once_per_rig
+def centres_of_every_cell(
+    rig: Rig, geometry: Grid, device: torch.device, height: int, width: int, dtype: torch.dtype
+) -> tuple[Int32[Tensor, " E"], Float[Tensor, " E"], Int32[Tensor, " bags"]]:
+    """Return rows, weights and bags of the samples at the middle of every cell, in maps that are height x width px.
+
+    A seen cell has four bags, one for each corner. The result is cached: never write to it.
+    """
+    level = level_of_every_cell(rig, geometry, device, CENTRE, height, width, 1, 1, dtype)
+    samples = _locate(level, level.places.new_zeros(1, 2, len(level.first) // 4, 1))
+    weights = _corner_weights(samples, torch.ones_like(samples.raw[:, 0]))
+    return (samples.row + level.steps).flatten(), weights.flatten(), level.first
 
 
 def _scatter(
-    grad: Float[Tensor, "Q C"],
+    grad: Float[Tensor, "H Q C"],
     samples: Samples,
-    weight: Float[Tensor, "P K"],
-    query: Int64[Tensor, " P"],
-    width: int,
+    weight: Float[Tensor, "H P K"],
+    level: Level,
     size: int,
-) -> Float[Tensor, "R C"]:
+) -> Float[Tensor, "H R C"]:
     """Add the weighted gradient of each query to the rows of its samples' corners: the transpose of `_gather`."""
-    rows = samples.row.flatten()
-    # 16-bit numbers are sorted more than twice as fast as 32-bit ones, on the CPU
-    order = (rows.short() if size < 2**15 else rows).argsort()
-    sources = query.int().index_select(0, order // weight.shape[1])
-    by_corner = (corner.flatten().index_select(0, order) for corner in _corner_weights(samples, weight))
-    return add_to_corners(grad, rows, sources, zip(_corner_steps(width), by_corner, strict=True), size)
+    heads = len(grad)
+    rows = samples.row.flatten(1)
+    # 16-bit numbers are sorted more than twice as fast as 32-bit ones, and each head alone many times, on the CPU
+    orders = [own.argsort() for own in (rows.short() if size < 2**15 else rows)]
+    head = torch.arange(heads, dtype=torch.int32, device=rows.device)[:, None]
+    order = (torch.stack(orders) + head * rows.shape[1]).flatten()
+    sources = level.query.int().index_select(0, order // weight.shape[2])
+    counts = torch.bincount((rows + head * size).flatten(), minlength=heads * size)
+    corner = torch.arange(4, device=rows.device)[:, None] * len(order)
+    bags = (counts.cumsum(0) - counts + corner).int().flatten()
+    weights = _corner_weights(samples, weight).flatten(1).index_select(1, order)
+    by_lowest = bag_sum(sources.repeat(4), grad.flatten(0, 1), bags, weights.flatten()).view(4, heads, size, -1)
+    total = by_lowest[0].clone()
+    for step, sums in zip((1, level.width, level.width + 1), by_lowest[1:], strict=True):
+        total[:, step:] += sums[:, : size - step]
+    return total
 
 
 def _products(
-    table: Float[Tensor, "R C"], samples: Samples, grad: Float[Tensor, "Q C"], first: Int64[Tensor, " Q"], width: int
-) -> list[Float[Tensor, "P K"]]:
+    table: Float[Tensor, "H R C"], samples: Samples, grad: Float[Tensor, "H Q C"], level: Level
+) -> Float[Tensor, "4 H P K"]:
     """Return the inner product of each corner's row with the gradient of its sample's query."""
-    shape = samples.row.shape
-    ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
-    rows = [(samples.row + step).flatten() for step in _corner_steps(width)]
-    return [inner_products(grad, table, ends, corner).reshape(shape) for corner in rows]
+    rows = _corner_rows(samples, level, table.shape[1])
+    first = level.first.view(4 * level.heads, -1)[: 4 * len(table)].flatten()
+    ends = torch.cat([first, first.new_tensor([rows.numel()])])
+    products = inner_products(grad.flatten(0, 1).repeat(4, 1), table.flatten(0, 1), ends, rows.flatten())
+    return products.view(rows.shape)
 
 
 def _backward(
-    table: Float[Tensor, "R C"],
-    offsets: Float[Tensor, "2 Q K"],
-    attention: Float[Tensor, "Q K"],
-    grad: Float[Tensor, "Q C"],
-    pairs: Pairs,
+    table: Float[Tensor, "H R C"],
+    offsets: Float[Tensor, "H 2 Q K"],
+    attention: Float[Tensor, "H Q K"],
+    grad: Float[Tensor, "H Q C"],
     level: Level,
-) -> tuple[Float[Tensor, "R C"], Float[Tensor, "2 Q K"], Float[Tensor, "Q K"]]:
-    """Return the gradients of one head and level, whose positions are computed again."""
-    samples = _locate(level, pairs.query, offsets)
-    weight = attention.index_select(0, pairs.query)
-    corner, right, low, low_right = _products(table, samples, grad, pairs.first, level.width)
+    fixed: bool,
+) -> tuple[Float[Tensor, "H R C"], Float[Tensor, "H 2 Q K"] | None, Float[Tensor, "H Q K"] | None]:
+    """Return the gradients of some heads on one level, whose positions are computed again.
+
+    If the samples are `fixed`, only the table has a gradient.
+    """
+    samples, weight = _locate(level, offsets), _of_pairs(level, attention)
+    grad_table = _scatter(grad, samples, weight, level, table.shape[1])
+    if fixed:
+        return grad_table, None, None
+    corner, right, low, low_right = _products(table, samples, grad, level)
+    fx, fy = samples.fraction.unbind(1)
     upper_slope, lower_slope = right - corner, low_right - low
-    upper = corner + samples.fx * upper_slope
-    slope_y = low + samples.fx * lower_slope - upper
-    slope_x = upper_slope + samples.fy * (lower_slope - upper_slope)
-    value = upper + samples.fy * slope_y
-    per_pair = torch.cat([slope_x * weight * samples.inside_x, slope_y * weight * samples.inside_y, value], dim=1)
-    per_query = per_pair.new_zeros(len(grad), per_pair.shape[1]).index_add_(0, pairs.query, per_pair)
-    grad_x, grad_y, grad_attention = per_query.chunk(3, dim=1)
-    grad_table = _scatter(grad, samples, weight, pairs.query, level.width, len(table))
-    return grad_table, torch.stack([grad_x, grad_y]), grad_attention
-
-
-def _backward_of_table(
-    offsets: Float[Tensor, "2 Q K"],
-    attention: Float[Tensor, "Q K"],
-    grad: Float[Tensor, "Q C"],
-    pairs: Pairs,
-    level: Level,
-    size: int,
-) -> Float[Tensor, "R C"]:
-    """Return the gradient of the table of one head and level alone."""
-    samples = _locate(level, pairs.query, offsets)
-    return _scatter(grad, samples, attention.index_select(0, pairs.query), pairs.query, level.width, size)
+    upper = corner + fx * upper_slope
+    slope_y = low + fx * lower_slope - upper
+    slope_x = upper_slope + fy * (lower_slope - upper_slope)
+    value = upper + fy * slope_y
+    inside = samples.raw == samples.position  # what was clamped has no gradient
+    slopes = torch.stack([slope_x, slope_y], 1) * weight[:, None] * inside
+    per_pair = torch.cat([*slopes.unbind(1), value], -1).flatten(0, 1)
+    per_query = per_pair.new_zeros(grad.shape[:2].numel(), per_pair.shape[1])
+    per_query.index_add_(0, level.query[: len(per_pair)], per_pair)
+    grad_x, grad_y, grad_attention = per_query.view(*grad.shape[:2], per_pair.shape[1]).chunk(3, dim=-1)
+    return grad_table, torch.stack([grad_x, grad_y], 1), grad_attention
 
 
 class _DeformableSum(torch.autograd.Function):
-    """Implement `deformable_sum` by heads and levels; only the inputs are kept for the backward pass."""
+    """Implement `deformable_sum` by levels and some heads; only the inputs are kept for the backward pass."""
 
     @staticmethod
-    def forward(
-        ctx: Any, offsets: Tensor, attention: Tensor, pairs: Pairs, levels: list[Level], *tables: Tensor
-    ) -> Tensor:
+    def forward(ctx: Any, offsets: Tensor, attention: Tensor, levels: list[Level], *tables: Tensor) -> Tensor:
         ctx.save_for_backward(offsets, attention, *tables)
-        ctx.pairs, ctx.levels = pairs, levels
-        sums = []
-        for head in range(len(offsets)):
-            parts = []
-            for index, (level, table) in enumerate(zip(levels, tables, strict=True)):
-                samples = _locate(level, pairs.query, offsets[head, index])
-                weight = attention[head, index].index_select(0, pairs.query)
-                parts.append(_gather(table[head], samples, weight, pairs.first, level.width))
-            sums.append(torch.stack(parts).sum(0) if len(parts) > 1 else parts[0])
-        return torch.stack(sums)
+        ctx.levels = levels
+        parts = []
+        for index, (level, table) in enumerate(zip(levels, tables, strict=True)):
+            inputs = table, offsets[:, index], attention[:, index]
+            heads = zip(*(part.split(level.heads) for part in inputs), strict=True)
+            sums = [
+                _gather(rows, _locate(level, moves), _of_pairs(level, weight), level) for rows, moves, weight in heads
+            ]
+            parts.append(joined(sums))
+        return torch.stack(parts).sum(0) if len(parts) > 1 else parts[0]
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
         offsets, attention, *tables = ctx.saved_tensors
         fixed = not any(ctx.needs_input_grad[:2])  # the samples are not learned
-        grad_offsets, grad_attention = (
-            (None, None) if fixed else (torch.empty_like(offsets), torch.empty_like(attention))
-        )
-        grad_tables = [torch.empty_like(table) for table in tables]
-        for head in range(len(offsets)):
-            head_grad = grad[head].contiguous()
-            for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
-                inputs = offsets[head, index], attention[head, index], head_grad, ctx.pairs, level
-                if grad_offsets is None or grad_attention is None:
-                    grad_tables[index][head] = _backward_of_table(*inputs, len(table[head]))
-                else:
-                    grads = _backward(table[head], *inputs)
-                    grad_tables[index][head], grad_offsets[head, index], grad_attention[head, index] = grads
-        return grad_offsets, grad_attention, None, None, *grad_tables
+        grads = []
+        for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
+            inputs = table, offsets[:, index], attention[:, index], grad.contiguous()
+            heads = zip(*(part.split(level.heads) for part in inputs), strict=True)
+            found = [_backward(*part, level=level, fixed=fixed) for part in heads]
+            grads.append([None if part[0] is None else joined(part) for part in zip(*found, strict=True)])
+        grad_tables, *rest = zip(*grads, strict=True)
+        grad_offsets, grad_attention = (None if part[0] is None else torch.stack(part, 1) for part in rest)
+        return grad_offsets, grad_attention, None, *grad_tables
 
 
 def deformable_sum(
     tables: list[Float[Tensor, "H _ C"]],
     offsets: Float[Tensor, "H L 2 Q K"],
     attention: Float[Tensor, "H L Q K"],
-    pairs: Pairs,
     levels: list[Level],
 ) -> Float[Tensor, "H Q C"]:
     """Sample bilinearly at reference + offset, weight by attention, sum over levels, points and a query's cameras.
@@ -306,7 +355,6 @@ def deformable_sum(
         tables: of each level, from `make_table`.
         offsets: (column, row) of each sample from its reference point, pixels of the level.
         attention: weight of each sample.
-        pairs: visible (query, camera) pairs; at least one.
-        levels: from `make_level`.
+        levels: from `make_level`, of the same visible (query, camera) pairs, at least one.
     """
-    return _DeformableSum.apply(offsets, attention, pairs, levels, *tables)  # type: ignore[return-value]
+    return _DeformableSum.apply(offsets, attention, levels, *tables)  # type: ignore[return-value]

@@ -5,10 +5,12 @@ in a live sequence are the same numbers, since both go through these bits.
 """
 
 from enum import IntEnum
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
+from torch.nn import functional as F
 
 LOG_ODDS = 0
 """Channel of the evidence with the log-odds of being occupied."""
@@ -38,10 +40,17 @@ def pack_evidence(log_odds: Float[Tensor, "*B"], sight: UInt8[Tensor, "*B"]) -> 
 
 def unpack_evidence(bits: UInt8[Tensor, "*B X Y Z"]) -> Float[Tensor, "*B 4 X Y Z"]:
     """Return log-odds of being occupied, and 1 or 0 for each of hit, passed and hidden."""
-    level = (bits // len(Sight)).float()
-    sight = bits % len(Sight)
-    seen = [(sight == value).float() for value in (Sight.HIT, Sight.PASSED, Sight.HIDDEN)]
-    return torch.stack([level * (2 * LIMIT / STEPS) - LIMIT, *seen], dim=-4)
+    return F.embedding(bits.int(), _unpacked(bits.device)).movedim(-1, -4).contiguous()
+
+
+@lru_cache(maxsize=8)
+def _unpacked(device: torch.device) -> Float[Tensor, "256 4"]:
+    """Return the evidence of all values of the bits."""
+    with torch.inference_mode(False):  # training may use it as well
+        bits = torch.arange(256)
+        level, sight = (bits // len(Sight)).float(), bits % len(Sight)
+        seen = [(sight == value).float() for value in (Sight.HIT, Sight.PASSED, Sight.HIDDEN)]
+        return torch.stack([level * (2 * LIMIT / STEPS) - LIMIT, *seen], dim=-1).to(device)
 
 
 def sight_of(hit: Bool[Tensor, "*B"], known: Float[Tensor, "*B"], gap: Float[Tensor, "*B"]) -> UInt8[Tensor, "*B"]:

@@ -86,6 +86,11 @@ def grouped(keys: Iterable[Key]) -> dict[Key, list[int]]:
     return groups
 
 
+def joined(parts: Sequence[Tensor]) -> Tensor:
+    """Return parts along the first axis as one, uncopied if there is only one."""
+    return parts[0] if len(parts) == 1 else torch.cat(list(parts))
+
+
 def in_batch_order(parts: Sequence[Shaped[Tensor, "_ *S"]], groups: Iterable[Sequence[int]]) -> Shaped[Tensor, "B *S"]:
     """Return the results of groups of samples together, in the order of the samples in the batch."""
     if len(parts) == 1:

@@ -24,11 +24,17 @@ def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic)
         size = volume.shape[axis]
         if cells > size:
             raise ValueError(f"cannot wrap {cells} cells around an axis of {size}; use fewer levels or smaller kernels")
-        volume = torch.cat([volume.narrow(axis, size - cells, cells), volume, volume.narrow(axis, 0, cells)], dim=axis)
+        volume = wrapped(volume, cells, axis)
     zeros = [0 if wraps else cells for cells, wraps in zip(padding, periodic, strict=True)]
     if not any(zeros):
         return volume
     return F.pad(volume, [cells for cells in reversed(zeros) for _ in range(2)])
+
+
+def wrapped(values: Float[Tensor, "..."], cells: int, axis: int) -> Float[Tensor, "..."]:
+    """Add copies of the cells at the other end at both ends of an axis."""
+    ends = values.narrow(axis, values.shape[axis] - cells, cells), values.narrow(axis, 0, cells)
+    return torch.cat([ends[0], values, ends[1]], dim=axis)
 
 
 class Conv3d(nn.Conv3d):
@@ -132,7 +138,8 @@ def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic
     wrap: Axes = tuple(int(wraps) for wraps in periodic)  # type: ignore[assignment]
     fine = F.interpolate(pad3d(volume, wrap, periodic), scale_factor=2, mode="trilinear", align_corners=False)
     for axis, (size, wraps) in enumerate(zip(shape, periodic, strict=True), start=2):
-        fine = fine.narrow(axis, 2 if wraps else 0, size)
+        if fine.shape[axis] > size:
+            fine = fine.narrow(axis, 2 if wraps else 0, size)
     return fine
 
 
@@ -141,7 +148,8 @@ def upsample_view(
 ) -> Float[Tensor, "B C H W"]:
     """Double both axes by bilinear interpolation, across the seam of periodic ones, then crop to `size`."""
     rows, columns = map(int, periodic)
-    if rows or columns:
-        maps = F.pad(maps, (columns, columns, rows, rows), mode="circular")
+    for axis, cells in ((-2, rows), (-1, columns)):
+        if cells:
+            maps = wrapped(maps, cells, axis)
     fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
     return fine[..., 2 * rows : 2 * rows + size[0], 2 * columns : 2 * columns + size[1]]

@@ -36,17 +36,27 @@ def non_periodic_axes(geometry: Grid) -> list[int]:
     return [axis for axis in range(3) if not geometry.periodic[axis]]
 
 
-def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
+def point_features(
+    points: Float[Tensor, "P 3"], positions: Float[Tensor, "3 P"], geometry: Grid
+) -> Float[Tensor, "P F"]:
     """Return Cylinder3D's features of points in the grid (ego frame, m): offset in the cell, position, range.
 
     Offsets from the cell's centre are in cells, positions from -1 to 1 over the grid, ranges in units of the grid's
     reach. Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
+    `positions` are those of the points as `Grid.scaled` returns them.
     """
-    coordinates = torch.stack(geometry.coordinates(points), dim=-1)
+    coordinates = positions.movedim(0, -1)
     offset = coordinates - coordinates.floor() - 0.5
-    cells = torch.tensor(geometry.shape, device=points.device)
-    position = (2 * coordinates / cells - 1)[:, non_periodic_axes(geometry)]
+    axes, cells = axes_and_cells(geometry, points.device)
+    position = 2 * coordinates.index_select(1, axes) / cells - 1
     return torch.cat([offset, position, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
+
+
+@lru_cache(maxsize=16)
+def axes_and_cells(geometry: Grid, device: torch.device) -> tuple[Int64[Tensor, " A"], Int64[Tensor, " A"]]:
+    """Return the axes that do not wrap around, and their numbers of cells."""
+    axes = non_periodic_axes(geometry)
+    return torch.tensor(axes, device=device), torch.tensor([geometry.shape[axis] for axis in axes], device=device)
 
 
 @lru_cache(maxsize=16)
@@ -78,11 +88,17 @@ class PointEncoder(nn.Module):
 
         Points outside the grid or not finite are ignored.
         """
-        cells, inside = self.geometry.flat_index(points)
-        cells = cells + torch.arange(len(points), device=points.device).unsqueeze(1) * self.geometry.num_cells
+        positions = self.geometry.scaled(points)
+        cells, inside = self.geometry.flat_cells(positions)
+        if len(points) > 1:
+            cells = cells + torch.arange(len(points), device=points.device).unsqueeze(1) * self.geometry.num_cells
         static = is_static()
-        points, cells = (points.flatten(0, 1), cells.flatten()) if static else (points[inside], cells[inside])
-        encoded = F.relu(self.out(F.relu(self.hidden(point_features(points, self.geometry)))))
+        if static:
+            points, cells, positions = points.flatten(0, 1), cells.flatten(), positions.flatten(1)
+        else:
+            points, cells = points[inside], cells[inside]
+            positions = self.geometry.scaled(points)
+        encoded = F.relu(self.out(F.relu(self.hidden(point_features(points, positions, self.geometry)))))
         with_mask = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
         if static:  # ignored points add zeros, which do not change the maximum
             with_mask = torch.where(inside.flatten()[:, None], with_mask, 0)
@@ -130,8 +146,7 @@ def range_gaps(
     gap = torch.where(known, (seen - samples.distance_m) / step_m, 0)
     # at least 1 mm: no division by zero
     ratio = torch.where(known, seen.clamp(min=1e-3) / samples.distance_m.clamp(min=1e-3), 1)
-    parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
-    return torch.stack([part.mean(1) for part in parts], dim=1)
+    return torch.stack([known.float(), gap, gap / 4, ratio.log()], dim=1).clamp(-1, 1).mean(2)
 
 
 class RangeGaps(nn.Module):

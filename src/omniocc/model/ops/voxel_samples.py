@@ -6,7 +6,8 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
+from omniocc.model.ops.deformable_attention import centres_of_every_cell, deformable_sum, make_level, make_table
+from omniocc.model.ops.multilinear import bag_sum
 from omniocc.model.ops.padded import crop, in_batch_order
 from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import CENTRE, every_cell, group_samples, marked_cells
@@ -41,9 +42,14 @@ def _at_voxels(
     with torch.autocast(maps.device.type, enabled=False):
         values = maps.to(torch.promote_types(maps.dtype, torch.float32))
         table = make_table(values.unsqueeze(2))  # of one head
-        level = make_level(pairs, height, width, 1, values.dtype)
-        offsets = values.new_zeros(1, 1, 2, len(seen), 1)
-        sums = deformable_sum([table], offsets, offsets[:, :, 0] + 1, pairs, [level])[0] / pairs.counts[:, None]
+        if whole:
+            entries = centres_of_every_cell(*key[:3], height, width, values.dtype)
+            total = bag_sum(entries[0], table[0], entries[2], entries[1]).view(4, len(seen), -1).sum(0)
+        else:
+            level = make_level(pairs, height, width, 1, 1, values.dtype)
+            offsets = values.new_zeros(1, 1, 2, len(seen), 1)
+            total = deformable_sum([table], offsets, offsets[:, :, 0] + 1, [level])[0]
+        sums = total / pairs.counts[:, None]
     rows = sums.unflatten(1, (len(maps), -1)).movedim(1, 0)
-    volume = rows.new_zeros(len(maps), len(marked), rows.shape[2]).index_copy(1, cells[seen], rows)
+    volume = rows.new_zeros(len(maps), len(marked), rows.shape[2]).index_copy(1, seen if whole else cells[seen], rows)
     return torch.where(marked[:, None], volume, 0) if whole else volume

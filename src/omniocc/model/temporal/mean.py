@@ -50,8 +50,8 @@ class Mean(nn.Module):
             corners = self.geometry.corners(past_from_current[sample, frame].to(rows.device), rows.dtype)
             present = exists[sample, frame]
             moved = interpolate(rows, corners._replace(weights=corners.weights * present))
-            total[sample] += moved.unflatten(0, self.geometry.shape).movedim(-1, 0)
-            count[sample, 0] += (corners.inside & present).unflatten(0, self.geometry.shape)
+            total[sample].add_(moved.unflatten(0, self.geometry.shape).movedim(-1, 0))
+            count[sample, 0].add_((corners.inside & present).unflatten(0, self.geometry.shape))
         return (total + newest) / count
 
 

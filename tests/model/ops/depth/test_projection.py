@@ -7,6 +7,7 @@ from torch.nn import functional as F
 from omniocc.camera import Equirectangular, Rig, normalize_pixels
 from omniocc.model.depth import Spheres
 from omniocc.model.ops.depth.projection import (
+    Present,
     Projection,
     alternate_cameras,
     divided_samplers,
@@ -55,7 +56,7 @@ def test_features_on_spheres_equal_projection_and_bilinear_sampling(rig, cameras
     features = torch.randn(2, 6, 3, 18, 32)
     sampler = sampler_of(rig, cameras)
     expected, weights = reference(rig, features.double(), cameras)
-    swept = sampler(table(features, EVERYONE)).unflatten(1, (2, 3))
+    swept = sampler(table(features, Present.of(EVERYONE))).unflatten(1, (2, 3))
     torch.testing.assert_close(swept.double(), expected * (weights > 0)[:, None, None], atol=2e-5, rtol=0)
     assert torch.equal(sampler.seen, weights > 0)
     assert 0 < sampler.seen.float().mean() <= 1
@@ -88,10 +89,11 @@ def test_similarity_and_its_gradient(rig, missing):
         present[0, missing] = False
     one, two = (sampler_of(rig, cameras) for cameras in alternate_cameras(rig))
     features = torch.randn(2, 6, 4, 18, 32, requires_grad=True)
-    ours, fraction_one, fraction_two = similarity(table(features, present), one, two, present, 2)
+    there = Present.of(present)
+    ours, fraction_one, fraction_two = similarity(table(features, there), one, two, there, 2)
     slope = torch.randn_like(ours)
     (gradient,) = torch.autograd.grad((ours * slope).sum(), features)
-    expected = brute_similarity(table(features, present), one, two, present, 2)
+    expected = brute_similarity(table(features, there), one, two, present, 2)
     (expected_gradient,) = torch.autograd.grad((expected * slope).sum(), features)
     torch.testing.assert_close(ours, expected, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(gradient, expected_gradient, atol=1e-4, rtol=1e-3)
@@ -102,8 +104,8 @@ def test_what_a_missing_camera_saw_comes_from_the_others(rig):
     features = torch.full((1, 6, 1, 18, 32), 3.0)
     present = torch.tensor([[True, True, False, True, True, True]])
     sampler = sampler_of(rig, (0, 2, 4))
-    fraction = sampler.present_fraction(present)[:, 0]
-    mean = sampler(table(features, present))[:, 0]
+    fraction = sampler.present_fraction(Present.of(present))[:, 0]
+    mean = sampler(table(features, Present.of(present)))[:, 0]
     assert ((fraction > 0) & (fraction < 1)).any()
     torch.testing.assert_close(mean, 3 * fraction)
 

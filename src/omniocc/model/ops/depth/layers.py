@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.model.ops.efficientnet import FrozenLite0
 from omniocc.model.ops.norm import group_norm
-from omniocc.model.ops.padding import Residual, upsample_view
+from omniocc.model.ops.padding import Residual, upsample_view, wrapped
 
 STRIDE = 2
 """Of the features."""
@@ -28,8 +28,7 @@ class PanoramaConv(nn.Conv2d):
         border = self.kernel_size[0] // 2
         if not (self.wrap and border):
             return F.conv2d(maps, self.weight, self.bias, padding=border)
-        maps = F.pad(maps, (border, border, 0, 0), mode="circular")
-        return F.conv2d(maps, self.weight, self.bias, padding=(border, 0))
+        return F.conv2d(wrapped(maps, border, -1), self.weight, self.bias, padding=(border, 0))
 
 
 class UNet2d(nn.Module):
@@ -72,8 +71,8 @@ class UNet2d(nn.Module):
         maps = self.encoder[0](maps + added[0] if added else maps)
         for level, (down, block) in enumerate(zip(self.down, list(self.encoder)[1:], strict=True), 1):
             skips.append(maps)
-            height, width = maps.shape[-2:]
-            maps = down(F.pad(maps, (0, width % 2, 0, height % 2)))
+            odd = [size % 2 for size in maps.shape[-2:]]
+            maps = down(F.pad(maps, (0, odd[1], 0, odd[0])) if any(odd) else maps)
             maps = block(maps + added[level] if added else maps)
         for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
             maps = block(skip + upsample_view(up(maps), skip.shape[-2:], (False, self.wrap)))
@@ -157,7 +156,7 @@ def window_argmax(
     peak = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]).argmax(1, keepdim=True)
     offsets = torch.arange(-radius, radius + 1, device=logits.device).view(1, -1, 1, 1)
     spheres = peak + offsets
-    inside = (spheres >= 0) & (spheres < logits.shape[1])
-    window = probability.gather(1, spheres.clamp(0, logits.shape[1] - 1)) * inside
+    nearest = spheres.clamp(0, logits.shape[1] - 1)
+    window = probability.gather(1, nearest) * (nearest == spheres)
     mass = window.sum(1)
     return (window * spheres).sum(1) / mass.clamp(min=1e-6), mass

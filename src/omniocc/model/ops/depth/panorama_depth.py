@@ -43,7 +43,8 @@ class PanoramaDepth(nn.Module):
         """
         images = to_unit_range(images)
         check_images(images, rigs)
-        return per_rig(rigs, lambda rig, samples: self.estimate(crop(images[samples], rig), rig))
+        one = len(set(rigs)) == 1
+        return per_rig(rigs, lambda rig, own: self.estimate(crop(images if one else images[own], rig), rig))
 
 
 class DepthBatch(NamedTuple):

@@ -8,8 +8,8 @@ this is several times faster than `grid_sample` for every camera, which also sam
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -31,12 +31,29 @@ TAPER = 0.08
 """Width of the band at the edge of a camera's field where its weight falls to zero, in image heights: without it the
 mean over cameras would jump where one of them stops seeing."""
 BLOCK_ROWS = 1 << 16
-"""Rows of the sampling matrix of a block of spheres, at most, unless a single sphere has more."""
+"""Rows of the sampling matrix of a block of spheres on a CPU, at most, unless a single sphere has more."""
 FAR_M = 1e6
 """Range of the points on the sphere at infinity, whose inverse range is 0."""
 LEAST_PRESENT = 0.05
 """Lower limit of the fraction of present cameras by which a point's features are divided: a smaller one would enlarge
 what hardly any camera sees."""
+
+
+class Present(NamedTuple):
+    """Which cameras are there.
+
+    Attributes:
+        mask: of the cameras of each sample.
+        complete: whether it is known that none is missing, which saves work.
+    """
+
+    mask: Bool[Tensor, "B N"]
+    complete: bool
+
+    @classmethod
+    def of(cls, mask: Bool[Tensor, "B N"]) -> "Present":
+        """Return the cameras of a mask, which is looked at once."""
+        return cls(mask, not is_static() and bool(mask.all()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +78,11 @@ class Sampler:
         return self.matrix.crow_indices().diff() > 0
 
     @cached_property
+    def seen_fraction(self) -> Float[Tensor, "points 1"]:
+        """Return 1 for points that any camera sees, else 0."""
+        return self.seen[:, None].float()
+
+    @cached_property
     def transpose(self) -> Tensor:
         """Return the transpose, (pixels of all cameras, points), compressed rows."""
         with warnings.catch_warnings(), torch.inference_mode(False):  # training may use it as well
@@ -73,19 +95,19 @@ class Sampler:
         """Return weighted means of rows, in float32; differentiable."""
         return _Sample.apply(rows, self)
 
-    def present_fraction(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
+    def present_fraction(self, present: Present) -> Float[Tensor, "points B"]:
         """Return the fraction of each point's weight that is in present cameras."""
-        if all_present(present):
-            return self.seen[:, None].float().expand(-1, len(present))
-        pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
+        if present.complete:
+            return self.seen_fraction.expand(-1, len(present.mask))
+        pixels = present.mask.T.float().repeat_interleave(self.matrix.shape[1] // present.mask.shape[1], 0)
         return self.product(pixels)
 
     def mean(
-        self, rows: Float[Tensor, "pixels BC"], present: Bool[Tensor, "B N"]
+        self, rows: Float[Tensor, "pixels BC"], present: Present
     ) -> tuple[Float[Tensor, "points B C"], Float[Tensor, "points B"]]:
         """Return the mean features over present cameras, and the fraction of each point's weight that is in these."""
         fraction = self.present_fraction(present)
-        return self(rows).unflatten(1, (len(present), -1)) / fraction.clamp(min=LEAST_PRESENT)[..., None], fraction
+        return self(rows).unflatten(1, (len(present.mask), -1)) / fraction.clamp(min=LEAST_PRESENT)[..., None], fraction
 
     def product(self, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None) -> Tensor:
         """Return `matrix @ rows`, or `less - matrix @ rows` in place."""
@@ -95,11 +117,6 @@ class Sampler:
         shape = len(self.first), rows.shape[1]
         sums = bag_sum(self.columns, rows, self.first, self.values) if len(self.columns) else rows.new_zeros(shape)
         return sums if less is None else less - sums
-
-
-def all_present(present: Bool[Tensor, "B N"]) -> bool:
-    """Return whether no camera is missing, which saves work."""
-    return not is_static() and bool(present.all())
 
 
 def product(
@@ -158,20 +175,27 @@ class _SquaredGap(torch.autograd.Function):
 
 
 def similarity(
-    rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, present: Bool[Tensor, "B N"], groups: int
+    rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, present: Present, groups: int
 ) -> tuple[Float[Tensor, "points B G"], Float[Tensor, "points B"], Float[Tensor, "points B"]]:
     """Return the similarity of the features of two sets of cameras, and the fractions of the sets that are present.
 
     It is 1 / (1 + mean squared difference) in each group of channels, and 0 where one set sees nothing.
     Unlike a product it is greatest where both see the same, for any features, also before training. In float32.
     """
-    channels = rows.shape[1] // len(present)
-    pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
+    samples = len(present.mask)
+    pool = mean_of_groups(rows.shape[1] // samples, groups, rows.device)
     fractions = one.present_fraction(present), two.present_fraction(present)
-    missing = None if all_present(present) else tuple(1 / part.clamp(min=LEAST_PRESENT) for part in fractions)
-    gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, len(present), groups)
+    missing = None if present.complete else tuple(1 / part.clamp(min=LEAST_PRESENT) for part in fractions)
+    gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, samples, groups)
     both = torch.minimum(*fractions) > 0
     return both[..., None] / (1 + gap), *fractions
+
+
+@lru_cache(maxsize=16)
+def mean_of_groups(channels: int, groups: int, device: torch.device) -> Float[Tensor, "channels groups"]:
+    """Return the matrix that takes channels to the means of groups of them."""
+    with torch.inference_mode(False):  # training may use it as well
+        return torch.eye(groups, device=device).repeat_interleave(channels // groups, 0) * (groups / channels)
 
 
 @dataclass(frozen=True)
@@ -273,7 +297,7 @@ def _sampler(entries: Entries, shape: tuple[int, int], device: torch.device) -> 
 
 
 def samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[Sampler, ...]:
-    """Return the matrices of a projection, in blocks of about 64k rows, which stay in the processor's cache."""
+    """Return the matrices of a projection, on a CPU in blocks of about 64k rows, which stay in its cache."""
     return tuple(side[0] for side in _all_samplers(rig, projection, device))
 
 
@@ -285,7 +309,7 @@ def divided_samplers(rig: Rig, projection: Projection, device: torch.device) -> 
 @once_per_rig
 def _all_samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[tuple[Sampler, ...], ...]:
     rays = projection.panorama.rays().double().reshape(-1, 3)
-    size = max(1, BLOCK_ROWS // len(rays))
+    size = len(projection.planes) if device.type == "cuda" else max(1, BLOCK_ROWS // len(rays))
     inverse_m = torch.tensor(projection.planes, dtype=torch.float64) * projection.spheres.step_per_m
     blocks = [(block[:, None, None] * rays).flatten(0, 1) for block in (1 / inverse_m).clamp(max=FAR_M).split(size)]
     width, height = projection.feature_size
@@ -296,11 +320,11 @@ def _all_samplers(rig: Rig, projection: Projection, device: torch.device) -> tup
     )
 
 
-def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
+def table(features: Float[Tensor, "B N C H W"], present: Present) -> Float[Tensor, "pixels BC"]:
     """Return one row per pixel of all cameras, the channels of all samples side by side; zeros where one is missing."""
     rows = features.permute(1, 3, 4, 0, 2)
-    if not all_present(present):
-        rows = rows * present.T[:, None, None, :, None]
+    if not present.complete:
+        rows = rows * present.mask.T[:, None, None, :, None]
     return rows.flatten(3).flatten(0, 2)
 
 

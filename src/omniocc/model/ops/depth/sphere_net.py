@@ -14,7 +14,7 @@ from omniocc.model.ops.depth.confidence import Confidence
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
-from omniocc.model.ops.depth.projection import present_cameras
+from omniocc.model.ops.depth.projection import Present, present_cameras
 from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.ops.padded import grouped
 
@@ -115,13 +115,13 @@ class SphereNet(LearnedPanoramaDepth):
                 is equal to a mirrored rig in a mirrored world.
         """
         features = self.features(images.flip(-1) if flip else images)
-        swept, seen = self.sweep(features.flip(-1) if flip else features, present_cameras(images), rig)
+        swept, seen = self.sweep(features.flip(-1) if flip else features, Present.of(present_cameras(images)), rig)
         logits = self.scores(swept.flip(-1) if flip else swept)
         seen = seen.flip(-1) if flip else seen
         return logits, F.interpolate(seen.float(), logits.shape[-2:])[:, 0] > 0
 
     def sweep(
-        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
+        self, features: Float[Tensor, "B N C _ _"], present: Present, rig: Rig
     ) -> tuple[Float[Tensor, "B E *D h w"], Bool[Tensor, "B 1 h w"]]:
         """Return what the features of all cameras give on the spheres, and the mask of directions that any one sees."""
         raise NotImplementedError

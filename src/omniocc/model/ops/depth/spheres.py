@@ -56,7 +56,7 @@ class Spheres:
 
     def range_m(self, index: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
         """Return ranges of indices, m, at most `farthest_m`; the inverse of `index`."""
-        return 1 / (index.clamp(min=FINEST) * self.step_per_m)
+        return (index.clamp(min=FINEST) * self.step_per_m).reciprocal()
 
 
 @once_per_rig
