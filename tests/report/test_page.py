@@ -256,7 +256,8 @@ def test_the_tables_are_written_as_pages_of_the_documentation_and_csv(runs, tmp_
     assert generated == f"<!-- Written by `{command}`; do not edit. -->"
     assert title == "# The paper's tables, trained here"
     headings = [line.removeprefix("## ").partition(":")[0] for line in lines if line.startswith("## ")]
-    assert headings == [f"Table {number}" for number in ("I", "II", "III", "IV", "V", "VI", "VII")]
+    tables = [f"Table {number}" for number in ("I", "II", "III", "IV", "V", "VI", "VII")]
+    assert headings == [*tables, "How scores are counted"]
     assert not any("±" in line for line in lines)
     assert any(line.endswith("[sketch.csv](csv/sketch.csv).") for line in lines)
     (claim,) = (line for line in (docs / "appendix" / "claims.md").read_text("utf-8").splitlines() if "0.120" in line)
