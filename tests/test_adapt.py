@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from omniocc import adapt as module
 from omniocc.adapt import Plan, adapt, check_road, planned, rig_overrides, with_road_in_file
 from omniocc.camera import Rig
-from omniocc.config import CONF, check_root, compose_config
+from omniocc.config import CONF, check_root, compose_config, quoted
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.rig_file import write_rig_file
@@ -70,7 +70,7 @@ def test_the_height_of_the_road_must_be_known(rig, tmp_path):
         rig_overrides(str(tmp_path / "level.yaml"))
     file = with_road_in_file(str(tmp_path / "level.yaml"), -1.4, tmp_path / "runs")
     assert Rig.load(file) == replace(own, road_z_m=-1.4)
-    assert rig_overrides(file)[0] == f"data.source.rig='{file}'"
+    assert rig_overrides(file)[0] == f"data.source.rig={quoted(file)}"
     assert rig_overrides("fisheye6")  # whose frame is that of the virtual world
 
 

@@ -68,6 +68,7 @@ def test_training_commands_run_as_they_stand(checkout):
         assert result.returncode == 0, f"{line}\n{result.stdout}{result.stderr}"
         assert len(list(checkout.glob("runs/train-*/metrics.json"))) == number
         assert "RayIoU" in result.stdout
+        assert "GPU available" not in result.stdout + result.stderr  # what Lightning tells
 
 
 def jobs_of(line: str) -> list[tuple[str, ...]]:

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.utils import get_object
 from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
 from omniocc.bounds import Count, Kept, Rate, Weight, fits
-from omniocc.config import ConfigError, build, check, check_root, compose_plain, parameters_of, plain
+from omniocc.config import ConfigError, build, check, check_root, compose_plain, parameters_of, plain, quoted
 from omniocc.geometry import Cylinder
 from omniocc.runs.folder import run_hash
 from omniocc.train.stage_keys import stage_keys
@@ -375,3 +376,19 @@ def test_a_tree_can_be_resolved_in_place(model, composed):
     cfg = composed(f"model={model}", "preset=tiny")
     OmegaConf.resolve(cfg)
     assert list(cfg.model.refiner.channels)
+
+
+@pytest.mark.parametrize("override", ["model.sketch=mono", "model.refiner=none", "model.geometry=cuboid"])
+def test_an_option_behind_a_point_is_told(composed, override):
+    with pytest.raises(
+        ConfigError, match=re.escape(f"{override}: options are chosen with a slash, model/{override[6:]}")
+    ):
+        check_root(composed(override))
+
+
+@pytest.mark.parametrize(
+    "text", ["my_rig.yaml", "/a/b c.yaml", "../x/y.json", "null", "NaN", "1e5", "a,b", "it's", "./1"]
+)
+def test_any_text_is_the_value_of_an_override(text):
+    value = OverridesParser.create().parse_override(f"key={quoted(text)}").value()
+    assert getattr(value, "text", value) == text

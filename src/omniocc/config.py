@@ -173,6 +173,7 @@ def check_root(cfg: DictConfig) -> None:
         instead = {"logger": "; logger.mode=disabled leaves the curves in a CSV file alone"}
         raise ConfigError([f"{key}: train.py needs it; leave ~{key} out{instead.get(key, '')}" for key in lacking])
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
+    problems += _options_as_values(cfg)
     more = [] if problems else list(cfg.packages)
     problems += [] if problems else _wrong_names(cfg)
     problems += [f"packages: {name} {NOT_THERE}" for name in more if spec_of(name) is None]
@@ -183,6 +184,13 @@ def check_root(cfg: DictConfig) -> None:
         problems += error.problems
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def _options_as_values(cfg: DictConfig) -> Iterator[str]:
+    for slot in sorted(path.name for path in (CONF / "model").iterdir() if path.is_dir()):
+        option = cfg.model.get(slot)
+        if isinstance(option, str):
+            yield f"model.{slot}={option}: options are chosen with a slash, model/{slot}={option}"
 
 
 def _wrong_names(cfg: DictConfig) -> Iterator[str]:
@@ -274,8 +282,14 @@ def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str
     return tree
 
 
+PLAIN = re.compile(r"(\.{0,2}/)?[A-Za-z_][\w./-]*")
+"""Texts that an override takes for a text without quotes."""
+
+
 def quoted(text: str) -> str:
-    """Return a text as the value of an override, whatever characters it has."""
+    """Return a text as the value of an override, whatever characters it has; plain paths and names as they are."""
+    if PLAIN.fullmatch(text) and text.lower() not in ("null", "true", "false", "nan", "inf"):
+        return text
     escaped = text.replace("'", r"\'")
     return f"'{escaped}'"
 

@@ -150,11 +150,11 @@ def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
 
     for overrides, told in (
         (("depth.hints=true", "depth.pairs=nearest"), None),
-        (("depth.hints=true",), "of another network: depth.pairs=alternate (there nearest)"),
+        (("depth.hints=true",), "trained with other values: depth.pairs=alternate (there nearest)"),
     ):
         model, config = given(*overrides)
         line = start_from(model, "any-rig", "depth", config)
-        assert line == (told and f"stages.depth.weights=any-rig are {told}")
+        assert line == (told and f"stages.depth.weights=any-rig fit; they were {told}")
     model, config = given()
     with pytest.raises(UserError, match=r"size mismatch.*that it has there: .*depth\.hints=False \(there True\)"):
         start_from(model, "any-rig", "depth", config)

@@ -28,7 +28,7 @@ def main(cfg: DictConfig) -> None:
 
     scenes = recorder.record(Path(cfg.output))
     few = "" if covers_splits(Path(cfg.output)) else " 'data.source.splits={train:1,val:0,test:0}'"
-    print(f"{len(scenes)} scene{'s' * (len(scenes) > 1)} in {cfg.output}")
+    print(f"recorded  {scenes[0] if len(scenes) == 1 else f'{len(scenes)} scenes in {cfg.output}'}")
     print(f"look at it  python src/check.py data=recorded data.source.root={cfg.output}{few} --draw drawn")
     if not few:
         classes = spec_of(SceneFolder(scenes[0])).classes.num_classes

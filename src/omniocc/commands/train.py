@@ -17,8 +17,9 @@ def work() -> Callable[[DictConfig], None]:
 @script("train", "the same command goes on")
 def main(cfg: DictConfig) -> None:
     """Run the stages of the configuration that are missing."""
-    quiet_libraries()
-    work()(cfg)
+    train = work()
+    quiet_libraries()  # Lightning sets its own level when it is imported
+    train(cfg)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,11 @@ def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, 
         raise UserError(
             f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}{keys}"
         ) from error
-    return f"stages.{stage}.weights={weights} are of another network: {'; '.join(other)}" if other else None
+    return (
+        f"stages.{stage}.weights={weights} fit; they were trained with other values: {'; '.join(other)}"
+        if other
+        else None
+    )
 
 
 def check_resumed(path: Path, config: Mapping[str, Any], steps: int | None) -> None:

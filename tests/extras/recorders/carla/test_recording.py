@@ -42,7 +42,7 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("carla")
     result = record(folder)
     assert result.returncode == 0, result.stderr
-    assert f"1 scene in {folder / 'out'}" in result.stdout
+    assert f"recorded  {folder / 'out'}" in result.stdout
     assert f"python src/check.py data=recorded data.source.root={folder / 'out'} 'data.source.splits=" in result.stdout
     return folder / "out"
 
