@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 from jaxtyping import Float32
+from scipy.spatial.transform import Rotation
 
 from omniocc.data import SceneReader
 from omniocc.data.source.recorded import spec_of
@@ -71,8 +72,6 @@ def png(image: np.ndarray) -> np.ndarray:
 
 def turn_of(pose: np.ndarray) -> list[float]:
     """Return the quaternion w, x, y, z of a pose."""
-    from scipy.spatial.transform import Rotation
-
     return np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1).tolist()
 
 
