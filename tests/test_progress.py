@@ -23,6 +23,20 @@ def test_frames_that_were_there_do_not_count_as_fast(monkeypatch, capsys):
     assert last == "rendering: 910/1000 frames, 4.00 s each, 6:00 min left"
 
 
+def test_the_rate_forgets_a_slow_start_and_what_was_long_ago(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("omniocc.progress.time.monotonic", lambda: now[0])
+    with Progress("training", 1000, "steps") as progress:
+        for seconds in (60.0, *[2.0] * 10):  # the first step compiles
+            now[0] += seconds
+            progress.advance()
+        assert progress.rate_hz == pytest.approx(0.5)
+        for _ in range(20):  # another training begins on this machine
+            now[0] += 8.0
+            progress.advance()
+        assert progress.rate_hz == pytest.approx(1 / 8)
+
+
 def test_frames_of_another_process_count_for_the_time_that_is_left(monkeypatch, capsys):
     now, finished = [100.0], [0]
     monkeypatch.setattr("omniocc.progress.time.monotonic", lambda: now[0])
@@ -34,7 +48,7 @@ def test_frames_of_another_process_count_for_the_time_that_is_left(monkeypatch, 
         finished[0] = 100
         progress.advance(100 - 11)  # found there
     assert capsys.readouterr().err.splitlines() == [
-        "rendering: 10/100 frames, 1.60 s each, 2:24 min left",
+        "rendering: 10/100 frames, 1.56 s each, 2:20 min left",
         "rendering: 100/100 frames, 2.00 s each",
     ]
 

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
 STATUS_FILE = "OMNIOCC_STATUS_FILE"
 LINE_EVERY_S = 15.0
 STATUS_EVERY_S = 1.0
+MARK_EVERY_S, MARKS = 5.0, 12
+"""The rate is measured over the last marks; they are set at least so far apart."""
+BURST_S = 0.05
+"""Units within this time were finished together."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,8 @@ class Progress:
         self.title, self.total, self.unit, self.finished = title, total, unit, finished
         self._own, self._made, self._shown, self._others = done, 0, done, 0
         self._text = ""
-        self._began_s = self._shown_s = time.monotonic()
+        self._shown_s = time.monotonic()
+        self._marks = deque([(self._shown_s, 0)], MARKS)  # times, and the units done since the beginning
         self._written_s = -STATUS_EVERY_S
         self._bar = _bar() if sys.stderr.isatty() else None
         if self._bar is not None:
@@ -95,8 +101,9 @@ class Progress:
 
     @property
     def rate_hz(self) -> float:
-        """Return the units done per second since the beginning."""
-        return (self._made + self._others) / max(time.monotonic() - self._began_s, 1e-9)
+        """Return the units done per second in the last minute, without the first ones, which compile and fill caches."""
+        begin_s, begun = self._marks[0]
+        return (self._made + self._others - begun) / max(time.monotonic() - begin_s, 1e-9)
 
     @property
     def status(self) -> Status:
@@ -130,6 +137,7 @@ class Progress:
         """
         self._own, self._text = self._own + count, text
         self._made += count == 1
+        self._mark()
         if self._bar is not None:
             status = self.status
             self._bar.update(self._task, completed=status.done, rate=status.rate, text=text)
@@ -150,6 +158,16 @@ class Progress:
         self.message(text)
         write_status(Status("waiting", text))
         self._written_s = -STATUS_EVERY_S
+
+    def _mark(self) -> None:
+        now_s, made = time.monotonic(), self._made + self._others
+        since_s = now_s - self._marks[-1][0]
+        if len(self._marks) == 1 or since_s > MARK_EVERY_S:
+            self._marks.append((now_s, made))
+            if len(self._marks) == 3 and self._marks[0][1] == 0:
+                self._marks.popleft()
+        elif since_s < BURST_S:
+            self._marks[-1] = (self._marks[-1][0], made)
 
     def _line(self) -> None:
         status = self.status
