@@ -101,7 +101,7 @@ class Progress:
 
     @property
     def rate_hz(self) -> float:
-        """Return the units done per second in the last minute, without the first ones, which compile and fill caches."""
+        """Return the units done per second in the last minute, without the first, which compile and fill caches."""
         begin_s, begun = self._marks[0]
         return (self._made + self._others - begun) / max(time.monotonic() - begin_s, 1e-9)
 
