@@ -31,6 +31,7 @@ from omniocc.runs.checkpoint import MODEL, PREFIXES, Checkpoint, load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST
 from omniocc.runs.folder import git_commit, run_folder
 from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
+from omniocc.runs.scenes import scene_figures
 from omniocc.runs.script import quiet_libraries
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
 from omniocc.train.depth import FARTHEST_M
@@ -167,7 +168,7 @@ def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, comma
     made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
     made |= {key: facts[key] for key in ("seed", EARLIER_MINUTES, MINUTES) if key in facts}
     path = write(name, recipe, load_checkpoint(folder / checkpoint), made)
-    write_card(name, recipe, path, made, metrics)
+    write_card(name, recipe, path, made, metrics | scene_figures(folder))
     return path
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from omniocc.camera import Equidistant, KannalaBrandt, Panoramic, Pinhole, Rig
-from omniocc.camera.plausible import cross, field_of, suspicious
+from omniocc.camera.plausible import cross, field_of, kind_of, suspicious
 from omniocc.camera.pose import LEVEL_FORWARD, pose_from_angles
 
 WIDE = Equidistant(641, 481, 193.0, (320.0, 240.0), 95.0)
@@ -120,3 +120,19 @@ def test_a_camera_that_looks_elsewhere_than_its_name_says_is_named():
     wrong = replace(rig, ego_from_camera=poses)
     assert suspicious(wrong) == ["camera 'front' looks 90 degrees to the left of what its name says"]
     assert suspicious(replace(wrong, names=("a", "right", "c", "left"))) == []
+
+
+NARROW = Pinhole(640, 480, (400.0, 400.0), (319.5, 239.5))
+
+
+@pytest.mark.parametrize(
+    ("rig", "kind"),
+    [
+        (ring(1), "one camera"),
+        (ring(2), "wide cameras around"),
+        (ring(5, NARROW), "narrow cameras around"),
+        (posed(lambda pose: ring().ego_from_camera[0]), "wide cameras ahead"),
+    ],
+)
+def test_the_kind_of_a_rig(rig, kind):
+    assert kind_of(rig) == kind

@@ -1,15 +1,19 @@
 """Counts of rays by scene, and the file in which they are kept."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 import torch
 from batches import make_batch
 
+from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
+from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Cuboid
+from omniocc.predict.rig_file import write_rig_file
 from omniocc.runs.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures
-from omniocc.train.scene_counts import SceneCounts
+from omniocc.train.scene_counts import SceneCounts, save_by_scene
 from omniocc.train.scores import Scores
 
 COARSE = slice(2, None)
@@ -133,3 +137,23 @@ def test_scores_of_groups_are_those_of_their_frames(task, spec, tmp_path):
         assert found[f"test/weather/{weather}/lidar/rayiou"] == pytest.approx(float(expected["lidar/rayiou"]))
     assert found["test/place/campus/rayiou"] == found["test/weather/fog/rayiou"]
     assert len((tmp_path / "scenes.json").read_text().splitlines()) == 7
+
+
+@pytest.mark.parametrize(("counts", "kinds"), [((1, 4), ["one camera", "wide cameras around"]), ((4, 4), [])])
+def test_the_kind_of_rig_is_a_condition_where_rigs_differ(counts, kinds, task, spec, tmp_path):
+    class Scene(SceneReader):
+        name, rigs, conditions = "", (), {"weather": "clear"}  # properties of scenes
+
+        def __init__(self, name, cameras):
+            write_rig_file("equidistant", cameras, tmp_path / name, False)
+            self.name, self.rigs = name, [Rig.load(tmp_path / name)]
+
+    batch = drawn_batch(task, SAMPLES[0])
+    scores = Scores(task.model.geometry, spec)
+    by_scene = SceneCounts(scores)
+    by_scene.update(predicted(batch), batch)
+    scenes = [Scene(name, count) for name, count in zip(by_scene.of_all(), counts, strict=True)]
+    source = SimpleNamespace(scenes=lambda split: scenes, spec=spec)
+    save_by_scene(tmp_path, scores, source, by_scene.of_all())
+    found = [key.split("/")[2] for key in scene_figures(tmp_path) if key.startswith("test/rig/") and "lidar" not in key]
+    assert sorted(found) == kinds

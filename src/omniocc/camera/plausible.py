@@ -41,6 +41,10 @@ HIGH_M = 6.0
 TRAINED = 8
 """Most cameras of the rigs that networks for any rig are trained on."""
 AROUND = Equirectangular(120, 50, 60.0, -90.0)
+NARROW_DEG = 100.0
+"""Horizontal field of view up to which a camera is called narrow."""
+AHEAD_DEG = 60.0
+"""Angle between axes and their mean up to which cameras look the same way."""
 RANGES_M = (2.0, 8.0, 64.0)
 """Directions and ranges at which cameras may see the same."""
 
@@ -72,6 +76,17 @@ def field_of(camera: Camera) -> Field:
     ends = [float(angles.max()) for angles in from_axis_deg] if not all(seen.all() for *_, seen in lines) else []
     density = width_px / horizontal_deg if horizontal_deg else 0.0
     return Field(horizontal_deg, vertical_deg, density, max(ends, default=None))
+
+
+def kind_of(rig: Rig) -> str:
+    """Return what kind of rig it is: one camera, or several, narrow or wide, that look the same way or around."""
+    if len(rig.cameras) == 1:
+        return "one camera"
+    axes = rig.ego_from_camera[:, :3, 2]
+    cosines = axes @ torch.nn.functional.normalize(axes.mean(0), dim=0)
+    where = "ahead" if cosines.min() >= math.cos(math.radians(AHEAD_DEG)) else "around"
+    lens = "wide" if max(field_of(camera).horizontal_deg for camera in rig.cameras) > NARROW_DEG else "narrow"
+    return f"{lens} cameras {where}"
 
 
 def _angle_deg(rays: Float64[Tensor, "S 3"], seen: Bool[Tensor, " S"]) -> float:

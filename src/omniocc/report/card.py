@@ -1,6 +1,7 @@
 """The card of a file of weights: what it is, how it was made, how good it is, what it is not good for."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +34,8 @@ def card(
         *(f"| {key} | {_code(key, value)} |" for key, value in facts.items()),
         "",
     ]
-    sections = {"Scores on unseen scenes": score_rows(metrics), "Errors of range": depth_rows(metrics)}
+    sections = {"Scores on unseen scenes": score_rows(metrics), "By kind of rig": rig_rows(metrics)}
+    sections["Errors of range"] = depth_rows(metrics)
     sections["On the four frames of the tests"] = frame_rows(on_frames)
     for title, rows in sections.items():
         if rows:
@@ -48,6 +50,13 @@ def score_rows(metrics: Mapping[str, float]) -> list[str]:
     keys = ["test/rayiou", *(f"test/rayiou_{band}" for band in BANDS), "test/lidar/rayiou", "test/voxel/iou"]
     keys += ["test/voxel/miou", *sorted(key for key in metrics if key.startswith("test/rayiou/"))]
     return _table([(_title(key), metrics[key]) for key in keys if key in metrics], 3)
+
+
+def rig_rows(metrics: Mapping[str, float]) -> list[str]:
+    """Return a table of RayIoU by kind of rig; nothing where all scenes have the same."""
+    of_kind = re.compile(r"test/rig/([^/]+)/rayiou")
+    found = [(match[1], metrics[key]) for key in sorted(metrics) if (match := of_kind.fullmatch(key))]
+    return _table([(f"voxel RayIoU, {kind}", value) for kind, value in found], 3)
 
 
 def depth_rows(metrics: Mapping[str, float]) -> list[str]:

@@ -8,6 +8,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.camera.plausible import kind_of
 from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
 from omniocc.data.store.reader import SceneReader
@@ -77,10 +78,15 @@ class SceneCounts:
 
 
 def save_by_scene(folder: Path, scores: Scores, source: SceneSource, counted: Mapping[str, Counted]) -> None:
-    """Write the counts of every test scene into the folder of a run, with weather and kind of place where recorded."""
+    """Write the counts of every test scene into the folder of a run, with weather and kind of place where recorded.
+
+    Where scenes have different rigs, their kind is a condition, too.
+    """
     if counted:
         scenes = [scene for scene in source.scenes("test") if isinstance(scene, SceneReader)]
         conditions = {scene.name: scene.conditions for scene in scenes}
+        if len({scene.rigs[0].fingerprint for scene in scenes}) > 1:
+            conditions = {scene.name: conditions[scene.name] | {"rig": kind_of(scene.rigs[0])} for scene in scenes}
         save_scenes(folder, counted, conditions, source.spec.classes.names, scores.rays.counter.thresholds_m)
 
 
