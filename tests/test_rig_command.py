@@ -41,20 +41,23 @@ def test_a_file_that_is_there_is_replaced_only_by_force(tmp_path):
 
 
 def test_images_that_do_not_fit_are_named_and_drawn(images, tmp_path):
-    front, rear, left = (images / f"{name}.png" for name in ("front", "rear", "rear_left"))
+    front, rear, left, right = (images / f"{name}.png" for name in ("front", "rear", "rear_left", "rear_right"))
     cv2.imwrite(str(front), cv2.imread(str(front), cv2.IMREAD_GRAYSCALE))
     cv2.imwrite(str(rear), cv2.imread(str(rear))[:200])
     cv2.imwrite(str(left), cv2.resize(cv2.imread(str(left)), (256, 144)))
+    cv2.imwrite(str(right), cv2.imread(str(right))[:, :508])
     (images / "roof.png").write_bytes(front.read_bytes())
     result = run_script("rig.py", "show", "rig=pinhole6", f"images={images}", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     lines = [line.removeprefix("look at   ") for line in result.stdout.splitlines() if line.startswith("look at")]
     assert lines[0].startswith("the height of the road is not known")
     assert lines[1].startswith(f"{rear}: the image is 512x200 px, but camera 'rear' is calibrated for 512x288 px")
-    assert lines[2].startswith("images of another size than the calibration: 'rear_left'")
+    assert lines[2].startswith("images of almost the calibration's aspect ratio: 'rear_right'")
     assert lines[3].startswith("grey images beside colour images: 'front'")
     assert lines[4].endswith("no camera of the rig has this name: roof.png")
     assert len(lines) == 5
+    scaled = "\nimages    'rear_left': 256x144 px, 0.5 of the calibration's 512x288 px; the rig is scaled to them\n"
+    assert scaled in result.stdout
     assert (tmp_path / "rig.png").exists()
 
 
