@@ -6,6 +6,7 @@ import pytest
 from scripts import run_script
 
 from omniocc.camera import Rig
+from omniocc.predict.export_scene import main as export
 
 
 @pytest.fixture
@@ -59,6 +60,20 @@ def test_images_that_do_not_fit_are_named_and_drawn(images, tmp_path):
     scaled = "\nimages    'rear_left': 256x144 px, 0.5 of the calibration's 512x288 px; the rig is scaled to them\n"
     assert scaled in result.stdout
     assert (tmp_path / "rig.png").exists()
+
+
+@pytest.mark.slow
+def test_images_of_the_virtual_world_fit_a_new_rig(tmp_path):
+    """The commands of docs/predict.md for a rig without images, at the smallest size."""
+    run_script("rig.py", "new", "lens=kannala_brandt", "cameras=4", "file=my_rig.yaml", cwd=tmp_path)
+    size = ("preset=smoke", "data.source.image_size=[64,48]", "scenes=1", "frames=1", "paths.data=my_world")
+    result = run_script("render.py", "data.source.rig=my_rig.yaml", *size, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    (scene,) = tmp_path.glob("my_world/*/train-000-downtown")
+    export([str(scene), str(tmp_path / "my_images")])
+    result = run_script("rig.py", "show", "my_rig.yaml", "images=my_images", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert ": 64x48 px, 0.05 of the calibration's 1280x960 px; the rig is scaled to them\nnothing" in result.stdout
 
 
 def test_a_camera_is_left_out(images, tmp_path):
