@@ -10,9 +10,9 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.draw.bev import EMPTY
 from omniocc.draw.canvas import Images, Ranges, blank, draw_scale, fitted, legend
 from omniocc.draw.ranges import (
-    FALSE_RANGE,
+    ERROR_LEGEND,
     NOT_PREDICTED,
-    SKY,
+    RANGE_LEGEND,
     UNKNOWN_RANGE,
     error_bar,
     error_colors,
@@ -54,11 +54,11 @@ def depth_sheet(
         panorama_row(range_colors(true), "true range", inner),
         panorama_row(range_colors(predicted), "predicted range", inner),
         range_bar(inner),
-        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], inner),
+        legend(RANGE_LEGEND, inner),
         panorama_row(error_colors(predicted, true), f"error: predicted minus true{mean}", inner),
         azimuths(inner),
         error_bar(inner),
-        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], inner),
+        legend(ERROR_LEGEND, inner),
     ]
     return stack(rows, width_px, caption)
 

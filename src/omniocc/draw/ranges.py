@@ -12,6 +12,8 @@ SKY: Rgb = (225, 233, 242)
 NOT_PREDICTED: Rgb = (104, 108, 116)
 FALSE_RANGE: Rgb = (150, 60, 170)  # a range is predicted where the truth is sky
 
+RANGE_LEGEND = [("sky", SKY), ("not predicted", NOT_PREDICTED)]
+ERROR_LEGEND = [("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)]
 UNKNOWN_RANGE: tuple[str, Rgb] = ("not predicted: sky, not seen, or uncertain", NOT_PREDICTED)
 """Entry of the legend of predicted ranges."""
 WIDEST_GAP = 3

@@ -9,9 +9,9 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.draw.bev import bev, error_bev, error_legend
-from omniocc.draw.canvas import class_legend
+from omniocc.draw.canvas import class_legend, legend
 from omniocc.draw.paint import paint_voxels
-from omniocc.draw.ranges import error_bar, error_colors, range_bar, range_colors
+from omniocc.draw.ranges import ERROR_LEGEND, RANGE_LEGEND, error_bar, error_colors, range_bar, range_colors
 from omniocc.draw.sheet import azimuths, below, panorama_row
 from omniocc.geometry import Grid
 
@@ -68,16 +68,15 @@ def range_media(
     """Return panoramas of true ranges, of predicted ranges (nan: not valid) and of their difference, as `erp`."""
     assert true_m.shape == (panorama.height, panorama.width)
     predicted, true = predicted_m.numpy(), true_m.numpy()
-    metres, difference = range_bar(PANORAMA_PX), error_bar(PANORAMA_PX)
+    width = PANORAMA_PX
+    metres = [azimuths(width), range_bar(width), legend(RANGE_LEGEND, width)]
+    difference = [azimuths(width), error_bar(width), legend(ERROR_LEGEND, width)]
     rows = {
         "true range": (range_colors(true), metres),
         "predicted range": (range_colors(predicted), metres),
         "predicted minus true": (error_colors(predicted, true), difference),
     }
-    shown = {
-        name: below([panorama_row(colors, name, PANORAMA_PX), azimuths(PANORAMA_PX), bar], PANORAMA_PX)
-        for name, (colors, bar) in rows.items()
-    }
+    shown = {name: below([panorama_row(colors, name, width), *scale], width) for name, (colors, scale) in rows.items()}
     return {"erp": [MediaItem(image, name) for name, image in shown.items()]}
 
 
