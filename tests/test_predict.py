@@ -116,6 +116,20 @@ def test_the_default_are_the_weights_for_any_rig_and_an_unknown_road_is_told(fra
     assert "not known" not in capsys.readouterr().out  # the sweep does not use it
 
 
+def test_results_of_other_frames_are_told(frames, tmp_path, capsys, run_here):
+    arguments = (*SMALL, f"output={tmp_path}")
+    run_here(*arguments, f"images={frames}")
+    run_here(*arguments, f"images={frames}")
+    assert "output  " not in capsys.readouterr().out
+    run_here(*arguments, f"images={frames / '0000'}")
+    line = (
+        f"output    ranges of 2 other frames stay beside the new ones: {tmp_path / '0000'}, {tmp_path / '0001'}; remove"
+    )
+    assert line in capsys.readouterr().out
+    run_here(*arguments, f"images={frames}")
+    assert f"output    ranges of 1 other frame stay beside the new ones: {tmp_path}; " in capsys.readouterr().out
+
+
 def test_images_in_the_wrong_order_are_told(frames, tmp_path, capsys, run_here):
     names = ["front", "front_right", "rear_right", "rear", "rear_left", "front_left"]
     assert list(Rig.load("fisheye6").names) == names
@@ -179,6 +193,7 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
 
 
 def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):
+    assert "for checkpoint=sweep alone" in run_script("predict.py", "depth", "--help", cwd=tmp_path).stdout
     result = run_script("predict.py", "occupancy", "--help", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     for words in ("voxels.npz", "poses=my_poses.csv", "\nhistory=null "):

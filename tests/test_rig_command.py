@@ -6,6 +6,7 @@ import pytest
 from scripts import run_script
 
 from omniocc.camera import Rig
+from omniocc.predict.export_scene import main as export
 
 
 @pytest.fixture
@@ -41,21 +42,38 @@ def test_a_file_that_is_there_is_replaced_only_by_force(tmp_path):
 
 
 def test_images_that_do_not_fit_are_named_and_drawn(images, tmp_path):
-    front, rear, left = (images / f"{name}.png" for name in ("front", "rear", "rear_left"))
+    front, rear, left, right = (images / f"{name}.png" for name in ("front", "rear", "rear_left", "rear_right"))
     cv2.imwrite(str(front), cv2.imread(str(front), cv2.IMREAD_GRAYSCALE))
     cv2.imwrite(str(rear), cv2.imread(str(rear))[:200])
     cv2.imwrite(str(left), cv2.resize(cv2.imread(str(left)), (256, 144)))
+    cv2.imwrite(str(right), cv2.imread(str(right))[:, :508])
     (images / "roof.png").write_bytes(front.read_bytes())
     result = run_script("rig.py", "show", "rig=pinhole6", f"images={images}", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     lines = [line.removeprefix("look at   ") for line in result.stdout.splitlines() if line.startswith("look at")]
     assert lines[0].startswith("the height of the road is not known")
     assert lines[1].startswith(f"{rear}: the image is 512x200 px, but camera 'rear' is calibrated for 512x288 px")
-    assert lines[2].startswith("images of another size than the calibration: 'rear_left'")
+    assert lines[2].startswith("images of almost the calibration's aspect ratio: 'rear_right'")
     assert lines[3].startswith("grey images beside colour images: 'front'")
     assert lines[4].endswith("no camera of the rig has this name: roof.png")
     assert len(lines) == 5
+    scaled = "\nimages    'rear_left': 256x144 px, 0.5 of the calibration's 512x288 px; the rig is scaled to them\n"
+    assert scaled in result.stdout
     assert (tmp_path / "rig.png").exists()
+
+
+@pytest.mark.slow
+def test_images_of_the_virtual_world_fit_a_new_rig(tmp_path):
+    """The commands of docs/predict.md for a rig without images, at the smallest size."""
+    run_script("rig.py", "new", "lens=kannala_brandt", "cameras=4", "file=my_rig.yaml", cwd=tmp_path)
+    size = ("preset=smoke", "data.source.image_size=[64,48]", "scenes=1", "frames=1", "paths.data=my_world")
+    result = run_script("render.py", "data.source.rig=my_rig.yaml", *size, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    (scene,) = tmp_path.glob("my_world/*/train-000-downtown")
+    export([str(scene), str(tmp_path / "my_images")])
+    result = run_script("rig.py", "show", "my_rig.yaml", "images=my_images", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert ": 64x48 px, 0.05 of the calibration's 1280x960 px; the rig is scaled to them\nnothing" in result.stdout
 
 
 def test_a_camera_is_left_out(images, tmp_path):

@@ -7,6 +7,7 @@ import torch
 from omniocc.classes import WORLD_CLASSES
 from omniocc.draw import bev, error_bev
 from omniocc.draw.bev import EMPTY, HALLUCINATED, MISSED, OUTSIDE, RIGHT, SHIFTED, WRONG
+from omniocc.draw.canvas import INK
 from omniocc.geometry import Cuboid, Cylinder
 
 CYLINDER = Cylinder(shape=(7, 9, 3), radius_m=(1.0, 20.0), height_m=(-2.8, 3.6))
@@ -42,6 +43,13 @@ def test_every_pixel_shows_the_column_it_lies_in(geometry, half_m):
                 known = [c for c in labels[cell].tolist() if c not in (0, 255)]
                 expected = WORLD_CLASSES.palette[known[-1]] if known else EMPTY
             assert tuple(image[row, column]) == tuple(expected), (x, y)
+
+
+def test_the_bar_of_a_map_is_as_long_as_its_text_says():
+    """A map of 32 m on 320 px: 80 px of room hold 5 m, 50 px."""
+    empty = torch.zeros((4, 4, 2), dtype=torch.uint8)
+    image = bev(empty, Cuboid((4, 4, 2), (-16.0, 16.0), (-16.0, 16.0), (-2.0, 2.0)), WORLD_CLASSES, 320)
+    assert ((image[302] == INK).all(1)).sum() == 50
 
 
 def test_forward_is_up_and_left_is_left():

@@ -24,7 +24,7 @@ from omniocc.predict.export_scene import export_scene
 from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.input.sequence import find_scenes
-from omniocc.predict.occupancy import options_of, other_heights, predict_occupancy
+from omniocc.predict.occupancy import announcement, options_of, other_heights, predict_occupancy
 from omniocc.runs.checkpoint import CONFIG, STAGE
 from omniocc.train.scores import Scores
 
@@ -393,3 +393,13 @@ def test_a_road_at_another_height_than_in_training_is_told(scene, spec):
     assert other_heights(sequences, drawn) == []
     (line,) = other_heights(sequences, low)
     assert "2.2 m below the origin of test-000-nowhere, 0.9 m in the training" in line
+
+
+@pytest.mark.parametrize(("frames", "words"), [(2, "up to 1 past frame"), (3, "up to 2 past frames")])
+def test_past_frames_are_counted_in_the_right_number(frames, words):
+    model = SimpleNamespace(
+        geometry=SimpleNamespace(shape=()), temporal=SimpleNamespace(frames=frames), parameters=list
+    )
+    trained, sequence = SimpleNamespace(compare=str), SimpleNamespace(rig=SimpleNamespace(names=()))
+    lines = announcement(SimpleNamespace(checkpoint="best.ckpt"), model, trained, [sequence], "stream", "")
+    assert lines[-1] == f"history   stream: {words}"

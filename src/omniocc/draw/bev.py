@@ -5,7 +5,7 @@ import numpy as np
 import torch
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
-from omniocc.draw.canvas import Labels, Rgb, legend
+from omniocc.draw.canvas import Labels, Rgb, draw_scale, legend
 from omniocc.geometry import Grid
 
 OUTSIDE, EMPTY = (255, 255, 255), (238, 240, 243)
@@ -66,7 +66,10 @@ def topmost(labels: Labels) -> np.ndarray:
 
 
 def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
-    """Return a square image of column colours (X, Y, 3); every pixel shows the column that its centre is in."""
+    """Return a square image of column colours (X, Y, 3); every pixel shows the column that its centre is in.
+
+    The car and, if there is room, a bar of some metres are drawn over it.
+    """
     edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
     half_m = float(geometry.from_axes(*edges)[..., :2].abs().max())
     axis = half_m - (torch.arange(size_px, dtype=torch.float64) + 0.5) * (2 * half_m / size_px)
@@ -76,6 +79,7 @@ def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray
     image = colors[index[..., 0].numpy(), index[..., 1].numpy()]
     image[~inside.numpy()] = OUTSIDE
     _draw_ego(image, size_px / (2 * half_m))
+    draw_scale(image, size_px / (2 * half_m))
     return image
 
 

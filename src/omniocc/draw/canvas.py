@@ -25,6 +25,8 @@ PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 4, cv2.IMWRITE_PNG_FILTER, cv2.IMWRI
 FONT = cv2.FONT_HERSHEY_DUPLEX
 INK: Rgb = (40, 44, 52)
 PAPER: Rgb = (255, 255, 255)
+SCALES_M, LEAST_SCALED_PX = (50, 20, 10, 5, 2, 1), 200
+"""Lengths of the bar of a map, and the width of the smallest map that gets one."""
 
 
 def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
@@ -80,6 +82,19 @@ def draw_label(canvas: np.ndarray, text: str, left: int, top: int, height_px: in
     plate = canvas[top:bottom, left:right]
     plate[:] = (0.35 * plate + 0.65 * np.array([25, 28, 34])).astype(np.uint8)
     draw_text(canvas, text, left + pad, top + pad + height_px, height_px, (255, 255, 255))
+
+
+def draw_scale(canvas: np.ndarray, px_per_m: float) -> None:
+    """Draw a bar of a round number of metres in the lower left corner, in place; none where it has no room."""
+    height, width = canvas.shape[:2]
+    if width < LEAST_SCALED_PX:
+        return
+    metres = next(metres for metres in SCALES_M if metres * px_per_m <= width / 4 or metres == SCALES_M[-1])
+    text, bar_px, text_px = f"{metres:g} m", round(metres * px_per_m), 9
+    draw_label(canvas, text, 8, height - 29, text_px)
+    left = 8 + text_width(text, text_px) + 16
+    cv2.rectangle(canvas, (left - 1, height - 21), (left + bar_px, height - 16), PAPER, -1)
+    cv2.rectangle(canvas, (left, height - 20), (left + bar_px - 1, height - 17), INK, -1)
 
 
 def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> np.ndarray:

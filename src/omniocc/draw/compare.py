@@ -8,7 +8,7 @@ from omniocc.classes import ClassTable
 from omniocc.draw.bev import bev, error_bev, error_legend
 from omniocc.draw.canvas import Labels, class_legend
 from omniocc.draw.sheet import below, beside, camera_rows, column_width, inner_width, stack, tagged
-from omniocc.draw.voxels import render_voxels
+from omniocc.draw.voxels import CAR_SIZE, render_voxels
 from omniocc.geometry import Grid
 
 
@@ -37,7 +37,13 @@ def comparison_parts(
     """
     inner = inner_width(width_px)
     views, maps = views_and_maps(truth, prediction, geometry, classes, inner)
-    names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
+    names = (
+        f"truth from behind; {CAR_SIZE}",
+        "prediction from behind",
+        "truth from above",
+        "prediction from above",
+        "differences",
+    )
     drawn = (tagged(image, name) for image, name in zip((*views, *maps), names, strict=True))
     return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
 

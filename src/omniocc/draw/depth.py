@@ -8,9 +8,28 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.draw.bev import EMPTY
-from omniocc.draw.canvas import Images, Ranges, blank, fitted, legend
-from omniocc.draw.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
-from omniocc.draw.sheet import NAMES, camera_rows, column_width, inner_width, panorama_row, row, stack
+from omniocc.draw.canvas import Images, Ranges, blank, draw_scale, fitted, legend
+from omniocc.draw.ranges import (
+    ERROR_LEGEND,
+    NOT_PREDICTED,
+    RANGE_LEGEND,
+    UNKNOWN_RANGE,
+    error_bar,
+    error_colors,
+    range_bar,
+    range_colors,
+)
+from omniocc.draw.sheet import (
+    NAMES,
+    azimuths,
+    camera_rows,
+    column_width,
+    elevations,
+    inner_width,
+    panorama_row,
+    row,
+    stack,
+)
 
 COVER = 1.8
 """Diameter of a point over the distance to its neighbour."""
@@ -35,10 +54,11 @@ def depth_sheet(
         panorama_row(range_colors(true), "true range", inner),
         panorama_row(range_colors(predicted), "predicted range", inner),
         range_bar(inner),
-        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], inner),
+        legend(RANGE_LEGEND, inner),
         panorama_row(error_colors(predicted, true), f"error: predicted minus true{mean}", inner),
+        azimuths(inner),
         error_bar(inner),
-        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], inner),
+        legend(ERROR_LEGEND, inner),
     ]
     return stack(rows, width_px, caption)
 
@@ -124,9 +144,10 @@ def predicted_sheet(
     rows = [
         *painted_rows(images, rig, panorama, range_m, inner),
         panorama_row(warped, "images at these ranges", inner),
-        panorama_row(range_colors(range_m.numpy()), "range", inner),
+        panorama_row(range_colors(range_m.numpy()), f"range, {elevations(panorama)}", inner),
+        azimuths(inner),
         range_bar(inner),
-        legend([("not predicted", NOT_PREDICTED)], inner),
+        legend([UNKNOWN_RANGE, ("a range, but no camera sees its point", (0, 0, 0))], inner),
         row(above, (f"points from above, {2 * half_m:g} m across", "their range"), inner),
     ]
     return stack(rows, width_px, caption)
@@ -145,4 +166,5 @@ def from_above(points_m: np.ndarray, colors: np.ndarray, half_m: float, size_px:
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             canvas[places[:, 0] + down, places[:, 1] + right] = paint
+    draw_scale(canvas, size_px / (2 * half_m))
     return canvas

@@ -14,9 +14,19 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.plausible import cross
-from omniocc.draw.canvas import INK, PAPER, Rgb, blank, draw_label, draw_text, legend, text_width
+from omniocc.draw.canvas import INK, PAPER, Rgb, blank, draw_label, draw_scale, draw_text, legend, text_width
 from omniocc.draw.paint import rays_of_parts
-from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, row, stack
+from omniocc.draw.sheet import (
+    azimuths,
+    beside,
+    camera_rows,
+    column_width,
+    elevations,
+    inner_width,
+    panorama_row,
+    row,
+    stack,
+)
 
 ASSUMED_ROAD_Z_M = -2.2
 """Height of the road in the ego frame that is drawn where it is not known: that of the virtual world."""
@@ -78,8 +88,8 @@ def rig_sheet(
         *_text(findings or ["nothing suspicious"], inner, WARNING if findings else GREEN),
         row(list(panels.values()), list(panels), inner),
         beside([legend(AXES, third * 2), legend([*COUNTS], third)], inner),
-        panorama_row(directions, "directions: how many cameras see them", inner),
-        _azimuths(inner),
+        panorama_row(directions, f"directions, {elevations(DIRECTIONS)}: how many cameras see them", inner),
+        azimuths(inner),
         legend(GROUND, inner),
         *camera_rows(views, inner, columns, rig.names),
     ]
@@ -112,6 +122,7 @@ def ground_map(rig: Rig, road_z_m: float, size_px: int) -> np.ndarray:
     for k, (u, v) in enumerate(view.places(rig.ego_from_camera[:, :3, 3]).tolist()):
         cv2.circle(canvas, (u, v), 5, camera_color(k), -1, cv2.LINE_AA)
         cv2.circle(canvas, (u, v), 5, PAPER, 1, cv2.LINE_AA)
+    draw_scale(canvas, size_px / (2 * MAP_M))
     return canvas
 
 
@@ -251,12 +262,3 @@ def _text(lines: Sequence[str], width: int, rgb: Rgb) -> list[np.ndarray]:
             rows.append(blank(width, 16))
             draw_text(rows[-1], part, 0, 12, 10, rgb)
     return rows
-
-
-def _azimuths(width: int) -> np.ndarray:
-    """Return the names of directions below a panorama."""
-    canvas = blank(width, 16)
-    for text, place in (("back", 0), ("left", 0.25), ("front", 0.5), ("right", 0.75), ("back", 1)):
-        left = int(place * width - text_width(text, 10) / 2)
-        draw_text(canvas, text, min(max(left, 0), width - text_width(text, 10)), 13, 10)
-    return canvas

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from omniocc.draw.canvas import Images, blank, draw_label, draw_text, fitted, paste
+from omniocc.camera import Equirectangular
+from omniocc.draw.canvas import Images, blank, draw_label, draw_text, fitted, paste, text_width
 
 NAMES = ("front", "front right", "rear right", "rear", "rear left", "front left")
 HEXAGON_ORDER = (5, 0, 1, 4, 3, 2)
@@ -71,6 +72,20 @@ def below(rows: Images, width: int) -> np.ndarray:
 def panorama_row(colors: np.ndarray, name: str, width: int) -> np.ndarray:
     """Return a small image scaled to a width, every pixel a rectangle, with its name on it."""
     return tagged(fitted(colors, width, cv2.INTER_NEAREST), name)
+
+
+def azimuths(width: int) -> np.ndarray:
+    """Return the names of directions below a panorama."""
+    canvas = blank(width, 16)
+    for text, place in (("back", 0), ("left", 0.25), ("front", 0.5), ("right", 0.75), ("back", 1)):
+        left = int(place * width - text_width(text, 10) / 2)
+        draw_text(canvas, text, min(max(left, 0), width - text_width(text, 10)), 13, 10)
+    return canvas
+
+
+def elevations(panorama: Equirectangular) -> str:
+    """Return the upper and lower edge of a panorama in words."""
+    return f"from {panorama.top_deg:+g} to {panorama.bottom_deg:+g} deg"
 
 
 def stack(rows: Images, width_px: int, caption: str = "") -> np.ndarray:

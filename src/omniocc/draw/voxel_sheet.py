@@ -14,9 +14,18 @@ from omniocc.draw.bev import bev, error_legend
 from omniocc.draw.canvas import Images, Labels, Ranges, class_legend, legend
 from omniocc.draw.compare import views_and_maps
 from omniocc.draw.paint import paint_voxels, voxel_panorama
-from omniocc.draw.ranges import NOT_PREDICTED, range_bar, range_colors
-from omniocc.draw.sheet import beside, camera_rows, column_width, inner_width, panorama_row, row, stack
-from omniocc.draw.voxels import render_voxels
+from omniocc.draw.ranges import UNKNOWN_RANGE, bridged, pale, range_bar, range_colors
+from omniocc.draw.sheet import (
+    azimuths,
+    camera_rows,
+    column_width,
+    elevations,
+    inner_width,
+    panorama_row,
+    row,
+    stack,
+)
+from omniocc.draw.voxels import CAR_SIZE, render_voxels
 from omniocc.geometry import Grid
 
 ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
@@ -33,10 +42,12 @@ class RangePanorama(NamedTuple):
     Attributes:
         panorama: directions of its pixels.
         range_m: ranges, nan where no range is predicted.
+        moved: whether they were predicted around another origin and re-projected, which leaves gaps between points.
     """
 
     panorama: Equirectangular
     range_m: Ranges
+    moved: bool = False
 
 
 def occupancy_sheet(
@@ -88,13 +99,23 @@ def _panoramas(
 ) -> list[np.ndarray]:
     directions = ALL_AROUND if ranges is None else ranges.panorama
     rows = [
-        panorama_row(voxel_panorama(labels, geometry, classes, directions, width), f"{name}, all around", width)
+        panorama_row(
+            voxel_panorama(labels, geometry, classes, directions, width),
+            f"{name}, all around, {elevations(directions)}",
+            width,
+        )
         for name, labels in named.items()
     ]
     if ranges is None:
-        return rows
-    predicted = panorama_row(range_colors(ranges.range_m.numpy()), "predicted range", width)
-    return [*rows, predicted, range_bar(width), legend([("not predicted", NOT_PREDICTED)], width)]
+        return [*rows, azimuths(width)]
+    colors, entries = range_colors(ranges.range_m.numpy()), [UNKNOWN_RANGE]
+    if ranges.moved:
+        filled, gap = bridged(ranges.range_m.numpy())
+        colors[gap] = pale(range_colors(filled[gap]))
+        tint = tuple(pale(range_colors(np.array(4.0))).tolist())
+        entries.append(("pale: gap between points, which are moved to the origin of the voxels", tint))
+    predicted = panorama_row(colors, "predicted range", width)
+    return [*rows, predicted, azimuths(width), range_bar(width), legend(entries, width)]
 
 
 def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
@@ -102,11 +123,11 @@ def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, wi
         ((name, labels),) = named.items()
         half = column_width(width, 2)
         views = [render_voxels(labels, geometry, classes, half, half), bev(labels, geometry, classes, half)]
-        return [row(views, (name, "from above"), width)]
+        return [row(views, (f"{name} from behind; {CAR_SIZE}", "from above"), width)]
     truth, prediction = named.values()
     views, maps = views_and_maps(truth, prediction, geometry, classes, width)
     above = row(maps, ("truth from above", "prediction from above", "differences"), width)
-    return [row(views, tuple(named), width), above]
+    return [row(views, [f"{name} from behind; {CAR_SIZE}" for name in named], width), above]
 
 
 def data_sheet(
@@ -135,7 +156,8 @@ def data_sheet(
     if labels is not None:
         height = inner // 3
         views = [render_voxels(labels, grid, classes, inner - height - 8, height), bev(labels, grid, classes, height)]
-        rows += [beside(views, inner), class_legend(classes, inner)]
+        names = (f"voxels from behind; {CAR_SIZE}", "from above")
+        rows += [row(views, names, inner), class_legend(classes, inner)]
     return stack(rows, width_px, caption)
 
 

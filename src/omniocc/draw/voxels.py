@@ -23,6 +23,9 @@ CAR_BOXES = (
     (((-1.7, 0.9), (-0.8, 0.8), (-1.2, -0.65)), (70, 80, 95)),
 )
 
+CAR_SIZE = f"the car is {CAR_BOXES[0][0][0][1] - CAR_BOXES[0][0][0][0]:g} m long"
+"""The scale of the image in words."""
+
 
 class Faces(NamedTuple):
     """Quadrilaterals, which are drawn in the order of falling depth.

@@ -20,7 +20,7 @@ from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.sequence import ImageSequence
 from omniocc.predict.options import choose_device
 from omniocc.predict.output.bag import Bags, bag_path, ranges_of, run_into_bag
-from omniocc.predict.output.range_files import point_cloud, write_depth
+from omniocc.predict.output.range_files import RANGES, point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import NO_ROAD, check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
@@ -53,6 +53,8 @@ def predict_panoramas(
         if rig.road_z_m is None and getattr(model, "hints", False):
             print(f"road      {NO_ROAD}", flush=True)
         device = choose_device(cfg.device)
+        if line := others_line(Path(cfg.output), sequence.frame_names):
+            print(line, flush=True)
         progress = Progress(f"predicting {cfg.output}", len(sequence.frame_names))
 
         def run() -> None:
@@ -62,6 +64,18 @@ def predict_panoramas(
                     progress.advance()
 
         run_into_bag(run, bag, bags, lambda: ranges_of(Path(cfg.output), sequence, progress.done))
+
+
+def others_line(output: Path, names: Sequence[str]) -> str:
+    """Return a line on the ranges in a folder that are of other frames than these; empty without any."""
+    kept = {output / name for name in names}
+    others = sorted(path.parent for path in [*output.glob(RANGES), *output.glob(f"*/{RANGES}")])
+    others = [str(folder) for folder in others if folder not in kept]
+    if not others:
+        return ""
+    shown = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
+    frames = f"{len(others)} other frame{'s' * (len(others) != 1)}"
+    return f"output    ranges of {frames} stay beside the new ones: {shown}; remove them, or choose another output=..."
 
 
 def _plain(value: Any) -> Any:

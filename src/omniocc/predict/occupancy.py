@@ -217,15 +217,16 @@ def announcement(
     """Return one line each about model, cameras, road (given; empty: none) and history."""
     grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"
     past = model.temporal.frames - 1
+    frames = f"{past} past frame{'s' * (past != 1)}"
     parameters = sum(parameter.numel() for parameter in model.parameters()) / 1e6
     if history != "none":
-        used = f"{history}: up to {past} past frames"
+        used = f"{history}: up to {frames}"
     elif not past:
         used = "none: the model fuses no past frames"
     elif sequences[0].world_from_ego is None:
-        used = f"off: without poses=... each frame is predicted alone; the model was trained with {past} past frames"
+        used = f"off: without poses=... each frame is predicted alone; the model was trained with {frames}"
     else:
-        used = f"off, as requested; the model was trained with {past} past frames"
+        used = f"off, as requested; the model was trained with {frames}"
     return [
         f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
         f"cameras   {', '.join(sequences[0].rig.names)}: {trained.compare(sequences[0].rig)}",

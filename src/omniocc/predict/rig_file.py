@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from omniocc.camera import Rig
+from omniocc.camera import Camera, Rig
 from omniocc.camera.masks import mask_cameras
 from omniocc.camera.parallax import shared_view
 from omniocc.camera.plausible import field_of, suspicious
@@ -50,16 +50,18 @@ def show_rig(
     rig = load_rig(source)
     frame = None if images is None else find_frames(images, rig, excluded, image_bits)[0]
     rig = mask_cameras(rig, tuple(excluded))
-    shown, findings = [None] * len(rig.names), suspicious(rig)
+    shown, findings, told = [None] * len(rig.names), suspicious(rig), list[str]()
     if frame is not None:
         shown = [file and rgb_of(content_of(file), str(file), frame.bit_depth) for file in frame.files]
         findings += [*suspicious_images(rig, frame, shown)]
+        told = [*scaled_images(rig, shown)]
     sheet = rig_sheet(rig, shown, findings, f"rig {source}")
     atomic_write(output, encode_image(sheet, output.suffix[1:].lower()))
     print("\n".join(table(rig)))
     if rig.road_z_m is not None:
         shared = shared_view(rig, ground_points(rig.road_z_m, MAP_M, 100))
         print(f"ground    within {MAP_M} m, two or more cameras see {shared:.0%} of what any camera sees")
+    print("".join(f"images    {line}\n" for line in told), end="")
     print("\n".join(f"look at   {line}" for line in findings) or "nothing suspicious")
     print(f"image     {output}")
 
@@ -79,22 +81,43 @@ def table(rig: Rig) -> list[str]:
     return lines
 
 
+def is_scaled(size: tuple[int, int], camera: Camera) -> bool:
+    """Return whether an image of this size, px, is a camera's whole image, up to the rounding of a pixel."""
+    width, height = size
+    return (
+        abs(height - width * camera.height / camera.width) < 1 or abs(width - height * camera.width / camera.height) < 1
+    )
+
+
+def scaled_images(rig: Rig, images: Sequence[np.ndarray | None]) -> Iterator[str]:
+    """Yield a line for every size of whole images (H, W, 3) that is not the calibration's."""
+    found: dict[str, list[str]] = {}
+    for name, camera, image in zip(rig.names, rig.cameras, images, strict=True):
+        size = (0, 0) if image is None else (image.shape[1], image.shape[0])
+        if image is not None and size != (camera.width, camera.height) and is_scaled(size, camera):
+            times = f"{size[0] / camera.width:.3g} of the calibration's {camera.width}x{camera.height} px"
+            words = f"{size[0]}x{size[1]} px, {times}"
+            found.setdefault(words, []).append(f"'{name}'")
+    for words, names in found.items():
+        yield f"{', '.join(names)}: {words}; the rig is scaled to them"
+
+
 def suspicious_images(rig: Rig, frame: FrameFiles, images: Sequence[np.ndarray | None]) -> Iterator[str]:
     """Yield a line for everything about a frame's images (H, W, 3) uint8 RGB that does not fit the rig."""
-    fit, scaled, grey, colour = True, [], [], []
+    fit, squeezed, grey, colour = True, [], [], []
     for name, camera, file, image in zip(rig.names, rig.cameras, frame.files, images, strict=True):
         if image is None:
             continue
         size = image.shape[1], image.shape[0]
         try:
             check_aspect(size, camera, str(file), f"camera '{name}'")
-            scaled += [f"'{name}'"] * (size != (camera.width, camera.height))
+            squeezed += [f"'{name}'"] * (not is_scaled(size, camera))
         except DataError as error:
             fit = False
             yield str(error)
         (grey if bool((image == image[..., :1]).all()) else colour).append(f"'{name}'")
-    if scaled:
-        yield f"images of another size than the calibration: {', '.join(scaled)}; they may be scaled but not cropped"
+    if squeezed:
+        yield f"images of almost the calibration's aspect ratio: {', '.join(squeezed)}; are some pixels cropped?"
     if grey and colour:
         yield f"grey images beside colour images: {', '.join(grey)}; are all cameras of one kind?"
     yield from filter(None, [describe_ignored_images([frame], rig), swapped_images(frame, rig) if fit else ""])

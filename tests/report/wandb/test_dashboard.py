@@ -1,6 +1,7 @@
 import json
 
-from omniocc.report.wandb.dashboard import sections, workspace
+from omniocc.config import CONF
+from omniocc.report.wandb.dashboard import SLOTS, sections, workspace
 
 SECTIONS = sections(
     {"test/rayiou/tree": 0.5, "test/rayiou/car": 0.2, "test/rayiou_20-40m": 0.1, "test/rayiou_0-20m": 0.4}
@@ -34,6 +35,24 @@ def test_runs_are_grouped_by_stage_and_row():
 
 def test_classes_and_bands_are_those_of_the_run():
     charts = {(section, chart.title): chart.keys for section, part in SECTIONS.items() for chart in part}
-    assert charts["by class", "voxel RayIoU"] == ("test/rayiou/tree", "test/rayiou/car")
-    assert charts["by range", "voxel RayIoU"] == ("test/rayiou_0-20m", "test/rayiou_20-40m")
-    assert charts["depth and sketch", "depth: AbsRel"] == ("test/depth/absrel_0-20m", "test/depth/absrel_20-40m")
+    assert charts["by class", "voxel RayIoU by class"] == ("test/rayiou/tree", "test/rayiou/car")
+    assert charts["by range", "voxel RayIoU by range, m"] == ("test/rayiou_0-20m", "test/rayiou_20-40m")
+    assert charts["depth and sketch", "depth: mean relative error (AbsRel)"] == (
+        "test/depth/absrel_0-20m",
+        "test/depth/absrel_20-40m",
+    )
+
+
+def test_no_two_panels_have_one_title_and_the_options_are_columns():
+    titles = [chart.title for part in SECTIONS.values() for chart in part]
+    assert len(set(titles)) == len(titles)
+    columns = workspace("me", "omniocc", SECTIONS).runset_settings.pinned_columns
+    slots = [path.name for path in (CONF / "model").iterdir() if path.is_dir()]
+    assert {f"config:slots.{slot}" for slot in SLOTS} <= set(columns) & {f"config:slots.{slot}" for slot in slots}
+
+
+def test_the_shortest_training_has_a_curve_of_its_loss(smoke):
+    cfg = smoke()
+    assert cfg.trainer.log_every_n_steps * 2 <= min(
+        cfg.stages[stage].max_steps for stage in ("depth", "sketch", "occupancy")
+    )

@@ -27,6 +27,7 @@ from omniocc.runs.wandb.loggers import (
     log_earlier_stages,
     log_file,
     result_tables,
+    row_of,
     rows_in_csv,
     wandb_of,
 )
@@ -40,6 +41,7 @@ CONFIG = {
         "geometry": {"_target_": "omniocc.geometry.Cuboid", "shape": [4, 4, 2]},
         "sketch": {"_target_": "omniocc.model.sketch.Dense"},
     },
+    "depth": {"_target_": "omniocc.model.depth.OmniMVS"},
 }
 STEPS, PER_EPOCH, FAILS_AT, CHECKPOINT_EVERY = 9, 3, 5, 2
 
@@ -222,12 +224,13 @@ def test_the_load_of_the_machine_is_logged(resumed):
     assert kinds["environment"] > 0
 
 
-def test_a_stage_has_its_own_job_type_and_no_row(tmp_path):
+def test_a_stage_has_its_own_job_type_and_its_options_as_row(tmp_path):
     config = CONFIG | {"model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
     (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path / "depth-0", config, "depth"))
     settings = curves._wandb_init
     assert (settings["job_type"], settings["tags"], settings["id"] != "") == ("depth", [], True)
-    assert "row" not in settings["config"]
+    assert settings["config"]["row"] == "depth omnimvs"
+    assert row_of(config, "sketch") == "sketch dense on omnimvs"
     assert "anonymous" not in settings  # W&B would warn of it in every run
 
 

@@ -3,9 +3,12 @@ import torch
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.draw.bev import MISSED
+from omniocc.draw.canvas import INK
 from omniocc.geometry import Cuboid
 from omniocc.runs.wandb.media import class_cloud, range_media, voxel_media
 
+CAR = WORLD_CLASSES.palette[7]
 GRID = Cuboid(shape=(4, 4, 2), x_m=(-4.0, 4.0), y_m=(-4.0, 4.0), height_m=(-2.0, 2.0))
 
 
@@ -24,6 +27,10 @@ def test_voxels_are_shown_in_the_cameras_from_above_and_as_points():
     assert [item.caption for item in media["cameras"]] == list(rig.names)
     assert [item.caption for item in media["bev"]] == ["truth", "prediction", "differences"]
     assert media["bev"][0].content[10, 10].tolist() == [128, 64, 128]
+    below = [
+        (item.content[400:] == rgb).all(2).any() for item, rgb in zip(media["bev"], [CAR, CAR, MISSED], strict=True)
+    ]
+    assert below == [True] * 3  # legends
     assert media["points_truth"][0].content.shape == (16, 6)
     assert media["points_prediction"][0].content.shape == (0, 6)
 
@@ -32,6 +39,9 @@ def test_panoramas_show_truth_prediction_and_difference():
     panorama = Equirectangular(24, 6, 45.0, -45.0)
     true_m = torch.full((6, 24), 4.0)
     shown = [item.content for item in range_media(true_m * 2, true_m, panorama)["erp"]]
-    assert [image.shape for image in shown] == [(240, 960, 3)] * 3
+    assert len({image.shape for image in shown}) == 1
+    assert shown[0].shape[0] > 240  # a bar with metres lies below the panorama
+    assert shown[0].shape[1:] == (960, 3)
+    assert (shown[0][260:] == INK).all(2).any()
     pixel = [tuple(image[200, 900]) for image in shown]
     assert len(set(pixel)) == 3

@@ -15,6 +15,14 @@ from omniocc.predict.output.voxel_files import VOXELS
 MANIFEST = "prediction.json"
 OWN_RIG = "prediction.rig.yaml"
 """The cameras of a user's own images, beside their predictions."""
+DIGESTS = {
+    "checkpoint": "another checkpoint",
+    "rig": f"another rig or road_z_m (theirs: {OWN_RIG})",
+    "poses": "other poses",
+    "sha256": "other weights in the checkpoint",
+    "data": "other data",
+}
+"""What is said of facts that are kept as digests, of which a reader can make nothing."""
 
 
 def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: str = VOXELS) -> None:
@@ -32,8 +40,8 @@ def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: s
     if differs and not force:
         changed = _changed(path.read_text("utf-8"), facts)
         raise UserError(
-            f"{output} holds predictions made with other options ({changed}); choose another output=..., or "
-            "force=true to predict all frames again"
+            f"{output} holds predictions made with {changed}; choose another output=..., or force=true to predict all "
+            "frames again"
         )
     try:
         if differs:  # before the new manifest, so that a stop between the two leaves no old prediction under it
@@ -66,9 +74,14 @@ def _changed(old: str, new: Mapping[str, Any]) -> str:
     try:
         before = parse_json(old)
     except ValueError:
-        return f"{MANIFEST} is damaged"
-    changes = [f"{key} was {before.get(key)!r}" for key in new if before.get(key) != new[key]]
-    return ", ".join(changes) or "other keys"
+        return f"facts that cannot be read any more ({MANIFEST} is damaged)"
+    changed = [key for key in {**before, **new} if before.get(key) != new.get(key)]
+    words = [DIGESTS.get(key) or f"{key}={_word(before.get(key))} (now {_word(new.get(key))})" for key in changed]
+    return ", ".join(words) or "the same options in another order"
+
+
+def _word(value: Any) -> str:
+    return "null" if value is None else str(value)
 
 
 def pose_digest(poses: Tensor | None) -> str | None:

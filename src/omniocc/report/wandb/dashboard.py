@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Workspace
 
 STEP = "trainer/global_step"
+SLOTS = ("depth", "sketch", "geometry", "lifter", "temporal", "refiner")
+"""Slots whose options are columns of the list of runs."""
 
 
 class Chart(NamedTuple):
@@ -45,43 +47,48 @@ def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
     return {
         "compare rows": (
             Chart("bars", "voxel RayIoU", ("test/rayiou",)),
-            Chart("bars", "RayIoU by threshold", each("test/rayiou@{}", ("1", "2", "4"))),
+            Chart("bars", "voxel RayIoU by threshold, m", each("test/rayiou@{}", ("1", "2", "4"))),
             Chart("bars", "surface RayIoU", ("test/lidar/rayiou",)),
             Chart("bars", "voxel IoU and mIoU", ("test/voxel/iou", "test/voxel/miou")),
-            Chart("bars", "baseline, voxel; upper bound, surface RayIoU", ("prior/rayiou", "label/lidar/rayiou")),
-            Chart("lines", "RayIoU of validation", ("val/rayiou",)),
-            Chart("lines", "loss", ("train/loss",)),
+            Chart("bars", "baseline without images: voxel RayIoU", ("prior/rayiou",)),
+            Chart("bars", "upper bound, the true voxels: surface RayIoU", ("label/lidar/rayiou",)),
+            Chart("lines", "voxel RayIoU on validation scenes", ("val/rayiou",)),
+            Chart("lines", "training loss", ("train/loss",)),
         ),
         "by range": (
-            Chart("bars", "voxel RayIoU", each("test/rayiou_{}", bands)),
-            Chart("bars", "surface RayIoU", each("test/lidar/rayiou_{}", bands)),
-            Chart("lines", "RayIoU of validation", each("val/rayiou_{}", bands)),
-            Chart("table", "by range", ("tables/by_range",)),
+            Chart("bars", "voxel RayIoU by range, m", each("test/rayiou_{}", bands)),
+            Chart("bars", "surface RayIoU by range, m", each("test/lidar/rayiou_{}", bands)),
+            Chart("lines", "voxel RayIoU on validation scenes by range, m", each("val/rayiou_{}", bands)),
+            Chart("table", "scores by range, m", ("tables/by_range",)),
         ),
         "by class": (
-            Chart("bars", "voxel RayIoU", each("test/rayiou/{}", classes)),
-            Chart("bars", "surface RayIoU", each("test/lidar/rayiou/{}", classes)),
-            Chart("bars", "voxel IoU", each("test/voxel/iou/{}", classes)),
-            Chart("table", "by class", ("tables/by_class",)),
+            Chart("bars", "voxel RayIoU by class", each("test/rayiou/{}", classes)),
+            Chart("bars", "surface RayIoU by class", each("test/lidar/rayiou/{}", classes)),
+            Chart("bars", "voxel IoU by class", each("test/voxel/iou/{}", classes)),
+            Chart("table", "scores by class", ("tables/by_class",)),
         ),
         "depth and sketch": (
-            Chart("bars", "depth: mean error, m", each("test/depth/mae_{}", bands)),
-            Chart("bars", "depth: AbsRel", each("test/depth/absrel_{}", bands)),
+            Chart("bars", "depth: mean absolute error, m", each("test/depth/mae_{}", bands)),
+            Chart("bars", "depth: mean relative error (AbsRel)", each("test/depth/absrel_{}", bands)),
             Chart("bars", "sketch: recall of occupied voxels", each("test/sketch/recall_{}", bands)),
-            Chart("bars", "sketch: precision", each("test/sketch/precision_{}", bands)),
-            Chart("scatter", "RayIoU against fraction of candidates", ("test/sketch/fraction", "test/rayiou")),
-            Chart("scatter", "recall against fraction of candidates", ("test/sketch/fraction", "test/sketch/recall")),
+            Chart("bars", "sketch: precision of candidates", each("test/sketch/precision_{}", bands)),
+            Chart("scatter", "voxel RayIoU against fraction of candidates", ("test/sketch/fraction", "test/rayiou")),
+            Chart(
+                "scatter",
+                "sketch: recall against fraction of candidates",
+                ("test/sketch/fraction", "test/sketch/recall"),
+            ),
         ),
         "images": (
             Chart("media", "truth beside prediction", ("test/voxels",)),
-            Chart("media", "cameras with predicted semantics", ("test/cameras",)),
+            Chart("media", "predicted voxels on the camera images", ("test/cameras",)),
             Chart("media", "from above: truth, prediction, differences", ("test/bev",)),
-            Chart("media", "true voxels", ("test/points_truth",)),
-            Chart("media", "predicted voxels", ("test/points_prediction",)),
-            Chart("media", "panoramas of range", ("test/erp",)),
-            Chart("media", "depth", ("test/depth",)),
-            Chart("media", "candidates", ("test/sketch",)),
-            Chart("media", "while training", ("val/voxels",)),
+            Chart("media", "true voxels, to turn", ("test/points_truth",)),
+            Chart("media", "predicted voxels, to turn", ("test/points_prediction",)),
+            Chart("media", "depth: panoramas of range", ("test/erp",)),
+            Chart("media", "depth: ranges on the camera images", ("test/depth",)),
+            Chart("media", "sketch: candidates from above", ("test/sketch",)),
+            Chart("media", "a validation frame during training", ("val/voxels",)),
         ),
     }
 
@@ -117,7 +124,10 @@ def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) 
         settings=ws.WorkspaceSettings(x_axis=STEP, max_runs=40),
         runset_settings=ws.RunsetSettings(
             groupby=[ws.Metric("JobType"), ws.Config("row")],
-            pinned_columns=["config:preset.name", "config:seed", "summary:test/rayiou", "summary:test/lidar/rayiou"],
+            pinned_columns=[
+                *("config:preset.name", "config:seed", "summary:test/rayiou", "summary:test/lidar/rayiou"),
+                *(f"config:slots.{slot}" for slot in SLOTS),
+            ],
         ),
     )
 

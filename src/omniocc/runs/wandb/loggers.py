@@ -27,7 +27,7 @@ from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
 from omniocc.runs.curves import curve_files, read_rows
 from omniocc.runs.robustness import RAY_IOU, Robustness, drop_of
-from omniocc.runs.slots import slots_of
+from omniocc.runs.slots import option_of, slots_of
 from omniocc.runs.table import band_names, class_names
 from omniocc.runs.wandb.media import MediaItem, wandb_object
 
@@ -140,6 +140,14 @@ class Loggers:
         return loggers
 
 
+def row_of(config: Mapping[str, Any], job_type: JobType) -> str:
+    """Return what a run is grouped by: its row, or the options of an earlier stage, which many rows share."""
+    if job_type not in ("depth", "sketch"):
+        return config["name"]
+    depth = option_of(config["depth"])
+    return f"depth {depth}" if job_type == "depth" else f"sketch {option_of(config['model']['sketch'])} on {depth}"
+
+
 def until_lost(method: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a method that uses the W&B run: it begins the run, and does nothing after W&B's first failure.
 
@@ -183,7 +191,7 @@ class WandbCurves(WandbLogger):
     def __init__(
         self, recipe: Loggers, folder: Path, config: dict[str, Any], job_type: JobType, earlier: set[tuple[int, str]]
     ):
-        row = {"row": config["name"]} if job_type == "occupancy" else {}
+        tags = [config["name"]] if job_type == "occupancy" else []
         super().__init__(
             name=folder.name,
             save_dir=folder,
@@ -192,9 +200,9 @@ class WandbCurves(WandbLogger):
             offline=recipe.mode == "offline",
             group=recipe.group,
             job_type=job_type,
-            tags=list(dict.fromkeys([*row.values(), *recipe.tags])),
+            tags=list(dict.fromkeys([*tags, *recipe.tags])),
             resume="allow",
-            config={**config, **row, "slots": slots_of(config)},
+            config={**config, "row": row_of(config, job_type), "slots": slots_of(config)},
         )
         # Lightning passes a setting that W&B no longer has, and W&B warns of it in every run
         self._wandb_init.pop("anonymous", None)

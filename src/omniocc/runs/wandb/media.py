@@ -8,10 +8,11 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, UNKNOWN, ClassTable
-from omniocc.draw.bev import bev, error_bev
+from omniocc.draw.bev import bev, error_bev, error_legend
+from omniocc.draw.canvas import class_legend, legend
 from omniocc.draw.paint import paint_voxels
-from omniocc.draw.ranges import error_colors, range_colors
-from omniocc.draw.sheet import panorama_row
+from omniocc.draw.ranges import ERROR_LEGEND, RANGE_LEGEND, error_bar, error_colors, range_bar, range_colors
+from omniocc.draw.sheet import azimuths, below, panorama_row
 from omniocc.geometry import Grid
 
 CAMERA_PX, BEV_PX, PANORAMA_PX = 400, 400, 960
@@ -44,13 +45,14 @@ def voxel_media(
     """Return the media of an occupancy prediction, by key.
 
     They are the images with the predicted classes painted on, bird's-eye views of truth, prediction and their
-    differences, and points of the occupied cells of both.
+    differences, each above its legend, and points of the occupied cells of both.
     """
     painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
+    names, kinds = class_legend(classes, BEV_PX), error_legend(BEV_PX)
     views = {
-        "truth": bev(truth, geometry, classes, BEV_PX),
-        "prediction": bev(prediction, geometry, classes, BEV_PX),
-        "differences": error_bev(truth, prediction, geometry, BEV_PX),
+        "truth": below([bev(truth, geometry, classes, BEV_PX), names], BEV_PX),
+        "prediction": below([bev(prediction, geometry, classes, BEV_PX), names], BEV_PX),
+        "differences": below([error_bev(truth, prediction, geometry, BEV_PX), kinds], BEV_PX),
     }
     return {
         "cameras": [MediaItem(image, name) for image, name in zip(painted, rig.names, strict=True)],
@@ -66,12 +68,16 @@ def range_media(
     """Return panoramas of true ranges, of predicted ranges (nan: not valid) and of their difference, as `erp`."""
     assert true_m.shape == (panorama.height, panorama.width)
     predicted, true = predicted_m.numpy(), true_m.numpy()
+    width = PANORAMA_PX
+    metres = [azimuths(width), range_bar(width), legend(RANGE_LEGEND, width)]
+    difference = [azimuths(width), error_bar(width), legend(ERROR_LEGEND, width)]
     rows = {
-        "true range": range_colors(true),
-        "predicted range": range_colors(predicted),
-        "predicted minus true": error_colors(predicted, true),
+        "true range": (range_colors(true), metres),
+        "predicted range": (range_colors(predicted), metres),
+        "predicted minus true": (error_colors(predicted, true), difference),
     }
-    return {"erp": [MediaItem(panorama_row(colors, name, PANORAMA_PX), name) for name, colors in rows.items()]}
+    shown = {name: below([panorama_row(colors, name, width), *scale], width) for name, (colors, scale) in rows.items()}
+    return {"erp": [MediaItem(image, name) for name, image in shown.items()]}
 
 
 def wandb_object(item: MediaItem) -> Any:
