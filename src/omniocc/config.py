@@ -253,7 +253,7 @@ def as_options(kind: type[Options], key: str, values: Mapping[str, Any]) -> Opti
 
 
 def plain(cfg: DictConfig, resolve: bool = True) -> dict[str, Any]:
-    """Return the whole tree, with the values of references (`${...}`) unless told otherwise, as plain dicts and lists."""
+    """Return the whole tree, with the values of references (`${...}`) if asked, as plain dicts and lists."""
     return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=resolve)).items()}
 
 
