@@ -252,9 +252,9 @@ def as_options(kind: type[Options], key: str, values: Mapping[str, Any]) -> Opti
     return build(node[key])
 
 
-def plain(cfg: DictConfig) -> dict[str, Any]:
-    """Return the whole tree, resolved, as plain dicts and lists."""
-    return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=True)).items()}
+def plain(cfg: DictConfig, resolve: bool = True) -> dict[str, Any]:
+    """Return the whole tree, with the values of references (`${...}`) if asked, as plain dicts and lists."""
+    return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=resolve)).items()}
 
 
 def dotted(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -265,8 +265,8 @@ def dotted(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the tree that a script would get from `<folder>/<name>.yaml`, resolved, as plain dicts and lists.
+def compose_plain(folder: Path, name: str, overrides: Sequence[str], resolve: bool = True) -> dict[str, Any]:
+    """Return the tree that a script would get from `<folder>/<name>.yaml` as plain dicts and lists; see `plain`.
 
     Raises:
         ConfigError: when it cannot be composed.
@@ -274,7 +274,7 @@ def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str
     refuse_credentials(overrides)
     try:
         with initialize_config_dir(str(folder.resolve()), version_base=VERSION_BASE):
-            tree = plain(compose(name, list(overrides)))
+            tree = plain(compose(name, list(overrides)), resolve)
     except (HydraException, OmegaConfBaseException) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ConfigError([f"{folder / name}.yaml with {' '.join(overrides)}: {first}"]) from error

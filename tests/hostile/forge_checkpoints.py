@@ -178,7 +178,7 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
             "python": str(evil),
         },
         "log-files": {"_target_": "omniocc.extras.recorders.files.LogFiles", "name": "train-0", "log": str(box.given)},
-        "checkpoint-io": {"_target_": "omniocc.runs.checkpoint_io.AtomicCheckpointIO"},
+        "checkpoint-io": {"_target_": "omniocc.train.checkpoint_plugin.AtomicCheckpointIO"},
         "launcher": {"_target_": "hydra_plugins.process_launcher.launcher.ProcessLauncher"},
         "other-slot": {"_target_": "omniocc.model.refiner.NoRefiner"},
         "other-slot-sketch": {"_target_": "omniocc.model.sketch.Dense"},

@@ -57,7 +57,7 @@ def test_names_on_the_page_of_a_sweep_are_texts():
 def test_the_title_of_a_plot_is_a_text():
     from matplotlib.figure import Figure
 
-    (svg, attributes), *_ = check_inert(as_svg(Figure(), "a", EVIL)).tags
+    (svg, attributes), *_ = check_inert(as_svg(Figure(), "a", EVIL)[1]).tags
     assert (svg, attributes["aria-label"]) == ("svg", EVIL)
 
 

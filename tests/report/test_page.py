@@ -9,6 +9,7 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -193,9 +194,9 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     assert markdown.index("## Table I: ") < markdown.index("## Table II: ")
     folder = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
     assert (output / folder / "config.yaml").exists()
-    names = {path.name for path in (output / "plots").glob("*.png")}
-    assert names == {"class.png", "ranking.png", "range.png", "candidates.png", "training.png"}
-    assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
+    names = {path.name for path in (output / "plots").glob("*.svg")}
+    assert names == {"class.svg", "ranking.svg", "range.svg", "candidates.svg", "training.svg"}
+    assert all(ElementTree.parse(output / "plots" / name).getroot().tag.endswith("}svg") for name in names)
 
 
 def test_thirty_lines_are_printed_at_most_and_all_tables_by_a_flag(runs, tmp_path, capsys, monkeypatch):
@@ -291,7 +292,7 @@ def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
         page = (output / "index.html").read_text("utf-8")
         assert 'id="robustness"' in page
         assert 'id="plot-robustness"' in page
-        assert (output / "plots" / "robustness.png").exists()
+        assert (output / "plots" / "robustness.svg").exists()
 
 
 def test_without_runs_the_error_is_one_line(tmp_path):

@@ -57,7 +57,7 @@ def test_ranking_is_by_mean_with_a_dot_for_each_seed(rows):
 
 def test_names_are_no_formulas(rows):
     figure = ranking(without_math({"a $_$ b$": rows["dense"]}))
-    assert "a $_$ b$" in as_svg(figure, "ranking", "Every row")
+    assert "a $_$ b$" in as_svg(figure, "ranking", "Every row")[1]
 
 
 def test_fractions_of_candidates_and_curves(rows):
@@ -83,7 +83,7 @@ def test_nothing_to_draw():
 
 
 def test_svg_stands_alone_and_follows_the_page(rows):
-    svg = as_svg(ranking(rows), "a", "Every row")
+    _, svg = as_svg(ranking(rows), "a", "Every row")
     assert svg.startswith('<svg role="img" aria-label="Every row"')
     assert not re.search(r"http|<style|<metadata|xmlns|font-family|#1d2430", svg)
     assert "currentColor" in svg

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from omniocc.config import ConfigError, compose_plain
+from omniocc.config import ConfigError, compose_plain, dotted
 from omniocc.report.runs import FinishedRun
-from omniocc.report.sweep import assign_rows, read_sweeps
+from omniocc.report.sweep import EVERY, _literal, _roots, assign_rows, read_sweeps
 from omniocc.report.tables.paper import table_cells
+from omniocc.runs.rows import known_rows, table_files
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
@@ -24,6 +25,21 @@ def test_a_row_that_cannot_be_composed_is_named(tmp_path):
     demo = FinishedRun("demo-0123abcd", {}, {}, config={"preset": {"name": "smoke"}})
     with pytest.raises(ConfigError, match=r"\+ablation=broken"):
         assign_rows([demo], tmp_path / "conf", ["broken"], {"broken": ["+ablation=broken"]})
+
+
+def composed(words: list[str], resolve: bool) -> dict[str, object]:
+    return dotted(compose_plain(CONF, "train", ["preset=tiny", *words], resolve))
+
+
+def test_a_row_leaves_what_the_preset_states_below_other_roots():
+    rows = known_rows(CONF, table_files(ROOT / "sweeps"))
+    common = _literal(composed([], resolve=False))
+    assert {"stages", "trainer", "depth", "data"} < {key.partition(".")[0] for key in common}
+    for row in ("mono", "voxformer_pinhole", "voxformer_truth", "extended_disturbed", "bevdet_budget", "ours_01s"):
+        values, roots = composed(rows[row], resolve=True), _roots(CONF, rows[row])
+        changed = {key for key, value in common.items() if values.get(key) != value}
+        assert {key.partition(".")[0] for key in changed} <= roots < {"stages", *roots}
+    assert EVERY in _roots(CONF, ["model=of_a_package"]) & _roots(CONF, ["+group_of_a_package=option"])
 
 
 def train(folder: Path, run: Path, name: str, facts: dict) -> None:

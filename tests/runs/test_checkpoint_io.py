@@ -16,7 +16,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader, TensorDataset
 
 from omniocc.errors import DataError, UserError
-from omniocc.runs.checkpoint_io import LAST, AtomicCheckpointIO, previous_of, read_checkpoint, resumable
+from omniocc.runs.checkpoint_io import LAST, previous_of, read_checkpoint, resumable
+from omniocc.train.checkpoint_plugin import AtomicCheckpointIO
 
 VALUES = 5000
 FILE_BYTES = 4 * VALUES

@@ -19,11 +19,10 @@ from matplotlib.figure import Figure
 from matplotlib.figure import Figure as Canvas
 
 from omniocc.io import atomic_write
-from omniocc.report.runs import FRACTION, FinishedRun, names_of
+from omniocc.report.runs import FRACTION, TRAINING, VALIDATION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
 from omniocc.report.tables.robustness import system_names
 from omniocc.report.tables.training import RunsByRow
-from omniocc.runs.curves import read_curve
 from omniocc.runs.robustness import Robustness, drop_of
 from omniocc.runs.table import band_keys
 
@@ -157,10 +156,10 @@ def training(rows: Rows) -> Canvas | None:
     canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
     panels = canvas.subplots(1, 2)
     drawn = 0
-    for axes, key in zip(panels, ("val/rayiou", "train/loss"), strict=True):
+    for axes, key in zip(panels, (VALIDATION, TRAINING), strict=True):
         for row, runs in rows.items():
-            curves = [curve for run in runs if (curve := read_curve(run.folder, key))]
-            mean = over_seeds([smoothed(curve) for curve in curves] if key == "train/loss" else curves)
+            curves = [run.curves[key] for run in runs if key in run.curves]
+            mean = over_seeds([smoothed(curve) for curve in curves] if key == TRAINING else curves)
             drawn += len(mean.steps)
             axes.plot(mean.steps, mean.mean, color=colors[row], marker=".", linewidth=1.6, label=row)
             if len(curves) > 1:
@@ -182,7 +181,7 @@ def learning_curves(rows: RunsByRow) -> Canvas | None:
     for row, of_steps in rows.items():
         most = max(of_steps, key=float)
         for steps, runs in of_steps.items():
-            mean = over_seeds([curve for run in runs if (curve := read_curve(run.folder, "val/rayiou"))])
+            mean = over_seeds([run.curves[VALIDATION] for run in runs if VALIDATION in run.curves])
             drawn += len(mean.steps)
             style, label = ("-", row) if steps == most else ("--", None)
             axes.plot(mean.steps, mean.mean, style, color=colors[row], marker=".", linewidth=1.6, label=label)
@@ -282,8 +281,8 @@ def as_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def as_svg(figure: Figure, name: str, title: str) -> str:
-    """Return a figure as an `<svg>` element.
+def as_svg(figure: Figure, name: str, title: str) -> tuple[str, str]:
+    """Return the SVG file of a figure on white, and the same as an `<svg>` element of a page; it is drawn once.
 
     Args:
         figure: a figure with text in `INK` and lines in `LINE`.
@@ -293,8 +292,8 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     buffer = io.StringIO()
     with rc_context(STYLE):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
+    file = buffer.getvalue()
+    svg = file[file.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:href", "href")
     svg = re.sub(r'\bid="', f'id="{name}-', svg)
@@ -304,4 +303,5 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     width_px = figure.get_figwidth() * 96
     size = f"min-width: {SMALLEST * width_px:.0f}px; max-width: {LARGEST * width_px:.0f}px"
     head = f'<svg role="img" aria-label="{escape(title)}" style="{size}" viewBox'
-    return re.sub(r"<svg[^>]*?viewBox", lambda _: head, svg, count=1)
+    on_white = file.replace("<svg ", '<svg style="background-color: white" ', 1)
+    return on_white, re.sub(r"<svg[^>]*?viewBox", lambda _: head, svg, count=1)

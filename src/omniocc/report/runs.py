@@ -14,7 +14,7 @@ from omniocc.errors import UserError, repr_of
 from omniocc.io import checked_name
 from omniocc.progress import Progress
 from omniocc.report.archive import is_archive
-from omniocc.runs.curves import read_curves
+from omniocc.runs.curves import Curve, read_curves
 from omniocc.runs.folder import command_of
 from omniocc.runs.renamed import read_config
 from omniocc.runs.results import CANDIDATES, METRICS, load_results, trajectory_figures
@@ -25,6 +25,8 @@ GRID = "grid"
 """Stands for the kind of grid of runs whose configuration was not saved."""
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 RAY_IOU = "test/rayiou"
+TRAINING, VALIDATION = "train/loss", "val/rayiou"
+"""Keys of the curves that are drawn."""
 SETTING, UNKNOWN = ("preset", "steps", "data"), "unknown"
 """Facts that must be equal for a comparison, by which the folder of a report is called, and what stands for none."""
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
@@ -39,6 +41,7 @@ class FinishedRun(NamedTuple):
         metrics: its figures by key; NaN for classes without cases.
         config: its resolved configuration; empty if it was not saved.
         same_as: the row with its configuration, if its name is not that of a row.
+        curves: its curves of training and validation that are drawn, by key.
     """
 
     name: str
@@ -47,6 +50,7 @@ class FinishedRun(NamedTuple):
     folder: Path = Path()
     config: Mapping[str, Any] = MappingProxyType({})
     same_as: str | None = None
+    curves: Mapping[str, Curve] = MappingProxyType({})
 
     @property
     def row(self) -> str:
@@ -104,10 +108,11 @@ def _read(folder: Path) -> FinishedRun:
     for key in SETTING:
         checked_name(f"{folder / METRICS}: {key}", str(facts.get(key, UNKNOWN)))
     config = read_config(path) if os.path.lexists(path := folder / "config.yaml") else {}
-    read_curves(folder)  # a damaged file is told here, once
+    curves = read_curves(folder)
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
-    return FinishedRun(folder.name, facts, figures, folder, config)
+    drawn = {key: curves[key] for key in (TRAINING, VALIDATION) if key in curves}
+    return FinishedRun(folder.name, facts, figures, folder, config, curves=drawn)
 
 
 def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, float]:

@@ -2,8 +2,9 @@
 
 import functools
 import os
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -61,6 +62,11 @@ def assign_rows(
     named = {*rows, *known}
     tried = [row for row in dict.fromkeys([*rows, *sorted(known)]) if row in known]
     stated = {row: _stated(conf, known[row]) for row in tried}
+    roots = {row: _roots(conf, known[row]) for row in tried}
+
+    @functools.cache
+    def common(preset: str) -> dict[str, Any]:
+        return _literal(given_values(compose_plain(conf, "train", [f"preset={preset}"], resolve=False)))
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
@@ -69,8 +75,11 @@ def assign_rows(
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
         config = given_values(run.config)
-        # composing a row takes .2 s, so those that state another value are left out first
+        # composing a row takes .2 s, so first left out are those that state another value, or do not change one that
+        # the preset has and the run has not
         likely = (row for row in tried if all(config.get(key, value) == value for key, value in stated[row].items()))
+        others = {key.partition(".")[0] for key, value in common(preset).items() if config.get(key) != value}
+        likely = (row for row in likely if EVERY in roots[row] or others <= roots[row])
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
 
     found = list(runs)
@@ -97,13 +106,44 @@ def _stated(conf: Path, words: Sequence[str]) -> dict[str, Any]:
             stated |= given_values(read_yaml(conf / FOLDER / f"{value}.yaml") or {})
         elif "/" not in key and not (conf / key).is_dir():
             stated |= given_values(OmegaConf.to_container(OmegaConf.from_dotlist([f"{key}={value}"])))  # type: ignore
-    return {
-        key: value
-        for key, value in stated.items()
-        if isinstance(value, bool | int | float | str) and "${" not in str(value)
-    }
+    return _literal(stated)
 
 
+def _literal(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers and words among values, without references to others."""
+    kinds = bool | int | float | str
+    return {key: value for key, value in values.items() if isinstance(value, kinds) and "${" not in str(value)}
+
+
+def _roots(conf: Path, words: Iterable[str]) -> set[str]:
+    """Return the root keys below which overrides, and the options that they choose, set values.
+
+    `EVERY` is among them where an option is not of `conf`, since its file is not read.
+    """
+    found: set[str] = set()
+    for word in words:
+        key, _, option = word.lstrip("+~").partition("=")
+        group, _, package = key.partition("@")
+        file = conf / group / f"{option}.yaml"
+        content = (read_yaml(file) or {}) if file.is_file() else {}
+        if not file.is_file() and ("/" in group or (conf / group).is_dir() or word.startswith("+")):
+            found.add(EVERY)
+        head = PACKAGE.match(file.read_text()) if content else None
+        for place in filter(None, (group, package, head and head[1])):  # which of them holds depends on the options
+            root = re.split(r"[./]", place.removeprefix("_global_."))[0]
+            found |= content.keys() if root == "_global_" else {EVERY if root.startswith("_") else root}
+        for entry in content.get("defaults", ()):
+            chosen = entry if isinstance(entry, dict) else {} if entry == "_self_" else {f"/{group}": entry}
+            for name, value in chosen.items():
+                *_, name = name.split()  # without `override`
+                found |= _roots(conf, [f"{name[1:]}={value}" if name[0] == "/" else f"{group}/{name}={value}"])
+    return found
+
+
+PACKAGE = re.compile(r"# @package (\S+)")
+"""Line of an option's file that names the key below which its values are."""
+EVERY = "*"
+"""Stands for all root keys."""
 NAMED = 12
 """Most rows that a remark names."""
 POWER = "power.yaml"

@@ -233,19 +233,20 @@ def write_report(sweeps: Sequence[Sweep], output: Path, whole: bool) -> None:
 
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
-    """Write every plot as PNG below `output`, and return title and SVG of each by name."""
+    """Write every plot as SVG below `output`, and return title and `<svg>` element of each by name."""
     if importlib.util.find_spec("matplotlib") is None:
         return {}
-    from omniocc.report.plots import PLOTS, as_png, as_svg, drops, learning_curves, without_math
+    from omniocc.report.plots import PLOTS, as_svg, drops, learning_curves, without_math
 
     drawn = {}
-    figures = {name: (title, plot(without_math(sweep.rows))) for name, (title, plot) in PLOTS.items()}
+    plots = {name: (title, partial(plot, without_math(sweep.rows))) for name, (title, plot) in PLOTS.items()}
     if rows := training.runs_by_row(sweep):
-        figures["learning-curves"] = (training.CURVES_TITLE, learning_curves(without_math(rows)))
+        plots["learning-curves"] = (training.CURVES_TITLE, partial(learning_curves, without_math(rows)))
     if sweep.robustness:
-        figures["robustness"] = (disturbed.TITLE, drops(disturbed.comparable(sweep.robustness)[0]))
-    for name, (title, figure) in figures.items():
-        if figure is not None:
-            atomic_write(output / "plots" / f"{name}.png", as_png(figure))
-            drawn[name] = (title, as_svg(figure, name, title))
+        plots["robustness"] = (disturbed.TITLE, partial(drops, disturbed.comparable(sweep.robustness)[0]))
+    for name, (title, plot) in plots.items():
+        if figure := plot():  # one at a time: a figure takes 10 MB
+            file, element = as_svg(figure, name, title)
+            atomic_write(output / "plots" / f"{name}.svg", file)
+            drawn[name] = (title, element)
     return drawn

@@ -53,11 +53,11 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     content = read_bytes(path)
     try:
         whole, end, _ = text_of(content).rpartition("\n")
-        rows = list(csv.DictReader(io.StringIO(whole + end, newline="")))
+        head, *lines = [*csv.reader(io.StringIO(whole + end, newline=""))] or [[]]
     except (ValueError, csv.Error) as error:
         raise UserError(f"{path} is damaged: {error}") from error
-    whole_rows = (row for row in rows if None not in row and None not in row.values())
-    return [row for row in whole_rows if re.fullmatch(r"[0-9]{1,15}", row.get("step", ""))]
+    rows = [dict(zip(head, line, strict=True)) for line in lines if len(line) == len(head)]
+    return [row for row in rows if re.fullmatch(r"[0-9]{1,15}", row.get("step", ""))]
 
 
 def _number(path: Path, key: str, value: str) -> float:

@@ -12,6 +12,7 @@ import torch
 from omniocc.bounds import fits
 from omniocc.errors import FAULTS, UserError, first_line, in_line, repr_of
 from omniocc.io import atomic_write, parse_json, read_short_text
+from rayiou.bands import band_suffixes
 from rayiou.ray_counts import RayCounts, ray_scores
 
 SCENES = "scenes.json"
@@ -103,8 +104,10 @@ def _read(folder: Path) -> Any:
 
 
 def _are_counts(lines: Any, shape: tuple[int, int]) -> bool:
-    numbers = fits(lines, Lines) and [number for line in lines for number in line]
-    known = bool(numbers) and min(numbers) >= 0 and max(numbers) < MOST_RAYS
+    if not isinstance(lines, list) or not all(isinstance(line, list) for line in lines):
+        return False
+    numbers = [number for line in lines for number in line]
+    known = {*map(type, numbers)} == {int} and min(numbers) >= 0 and max(numbers) < MOST_RAYS
     return known and list(map(len, lines)) == [shape[1]] * shape[0]
 
 
@@ -124,23 +127,20 @@ def _without_each(content: Mapping[str, Any], kind: str) -> dict[str, float]:
     every = summed(counted.values(), kind)
     if every is None or len(counted) < 2:
         return {}
-    occupied = range(1, len(content["classes"]))
-    return {
-        name: _scores(every - torch.tensor(scene[kind]), content, occupied)["rayiou"] for name, scene in counted.items()
-    }
+    left = [every - torch.tensor(scene[kind]) for scene in counted.values()]
+    return dict(zip(counted, _rayiou_of_each(left, content), strict=True))
 
 
 def _by_conditions(content: Mapping[str, Any]) -> dict[str, float]:
     scenes = content["scenes"].values()
     groups = dict.fromkeys(entry for scene in scenes for entry in sorted(scene["conditions"].items()))
-    figures = {}
+    counts = {}
     for condition, value in groups:
         members = [scene for scene in scenes if scene["conditions"].get(condition) == value]
         for kind, prefix in ((RAYS, ""), (LIDAR, "lidar/")):
             if (lines := summed(members, kind)) is not None:
-                scores = _scores(lines, content, range(1, len(content["classes"])))
-                figures[f"test/{condition}/{value}/{prefix}rayiou"] = scores["rayiou"]
-    return figures
+                counts[f"test/{condition}/{value}/{prefix}rayiou"] = lines
+    return dict(zip(counts, _rayiou_of_each([*counts.values()], content), strict=True))
 
 
 def _of_moving(content: Mapping[str, Any]) -> dict[str, float]:
@@ -180,7 +180,12 @@ def summed(scenes: Collection[Mapping[str, Any]], kind: str) -> torch.Tensor | N
     return torch.stack(found).sum(0) if found else None
 
 
-def _scores(lines: torch.Tensor, content: Mapping[str, Any], classes: Sequence[int]) -> dict[str, float]:
-    counts = RayCounts(lines[None, 0], lines[None, 1], lines[None, 2:], lines.new_zeros(1, len(lines) - 2))
-    names = {k: content["classes"][k] for k in classes}
-    return {key: float(value) for key, value in ray_scores(counts, names, content["thresholds_m"], ()).items()}
+def _rayiou_of_each(groups: Sequence[torch.Tensor], content: Mapping[str, Any]) -> list[float]:
+    """Return the RayIoU of each group of scenes, from its counts, (2 + thresholds, classes)."""
+    if not groups:
+        return []
+    rows = torch.stack([*groups, torch.zeros_like(groups[0])])
+    edges = range(len(rows))  # a group stands where a range band does: one call scores all, which is ten times as fast
+    counts = RayCounts(rows[:, 0], rows[:, 1], rows[:, 2:], rows.new_zeros(len(rows), rows.shape[1] - 2))
+    scores = ray_scores(counts, dict(enumerate(content["classes"][1:], 1)), content["thresholds_m"], edges)
+    return [float(scores[f"rayiou{suffix}"]) for suffix in band_suffixes(edges)]

@@ -21,7 +21,7 @@ from omniocc.io import atomic_write
 from omniocc.loss import TotalLoss
 from omniocc.parts import Parts
 from omniocc.runs.checkpoint import load_checkpoint
-from omniocc.runs.checkpoint_io import BEST, LAST, AtomicCheckpointIO
+from omniocc.runs.checkpoint_io import BEST, LAST
 from omniocc.runs.cost import PEAK, peak_mib
 from omniocc.runs.distributed import barrier, is_first
 from omniocc.runs.folder import command_line, git_commit, made_by_other_code
@@ -38,6 +38,7 @@ from omniocc.runs.results import (
 )
 from omniocc.runs.wandb.loggers import finish
 from omniocc.train.callbacks import LastCheckpoint, StepProgress, StopAtSignal, TrainingTime
+from omniocc.train.checkpoint_plugin import AtomicCheckpointIO
 from omniocc.train.every_frame import FrameOutputs
 from omniocc.train.stage_task import Recipe, StageTask
 

@@ -52,6 +52,7 @@ def test_impossible_options_are_a_line(options, overrides, words):
 def test_the_command(cylinder_run, tmp_path):
     done = run_script("view.py", f"run={cylinder_run}", "save=v.rrd", "limit=2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"loading {cylinder_run}\n")
     assert "2 frames" in done.stdout
     assert "open it by: rerun v.rrd" in done.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["v.rrd"]

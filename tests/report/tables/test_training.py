@@ -16,6 +16,7 @@ from omniocc.report.tables import training
 from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
+from omniocc.runs.curves import read_curves
 from omniocc.runs.table import SURFACE_RAYIOU, VOXEL_RAYIOU
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
@@ -35,7 +36,8 @@ def runs(folder: Path, name: str, steps: int, *scores: float) -> list[FinishedRu
         ]
         (place / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
         facts = {"seed": seed, "preset": "tiny", "steps": steps, "data": "d"}
-        found.append(FinishedRun(place.name, facts, {"test/rayiou": score, "test/rayiou_0-8.5m": score}, place))
+        metrics, curves = {"test/rayiou": score, "test/rayiou_0-8.5m": score}, read_curves(place)
+        found.append(FinishedRun(place.name, facts, metrics, place, curves=curves))
     return found
 
 

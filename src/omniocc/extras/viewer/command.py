@@ -24,6 +24,8 @@ def view(options: ViewOptions | None, target: TargetOptions) -> None:
 
         watch(Path(str(target.watch)), target.port)
         return
+    what = options.run or [options.recorded or options.predictions]
+    print(f"loading {', '.join(map(str, what))}", flush=True)  # the imports below take seconds
     path = show_frames(options, target)
     if path is not None and target.wandb:
         from omniocc.runs.wandb.loggers import log_file
@@ -66,7 +68,7 @@ def open_frames(options: ViewOptions) -> "Shown":
     from omniocc.extras.viewer.collect import open_shown
 
     frames = open_shown(options)
-    print(f"{frames.source}: {len(frames)} frames", flush=True)
+    print(f"{frames.source}: {len(frames)} frames; the first one takes longest", flush=True)
     return frames
 
 

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from omniocc.report.runs import FinishedRun
+from omniocc.report.runs import VALIDATION, FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.claims import (
     JUDGES,
@@ -21,7 +21,6 @@ from omniocc.report.tables.claims import (
 from omniocc.report.tables.formats import Part, csv_text, exact
 from omniocc.report.tables.gaps import Gap, change, holm
 from omniocc.report.tables.paper import SPREAD, PaperRow, PaperTable, figure_of, spread_cells
-from omniocc.runs.curves import read_curve
 from omniocc.runs.table import Cells
 
 TITLE = "What changes with more steps"
@@ -160,7 +159,7 @@ def training_csv(rows: RunsByRow, names: Mapping[str, str]) -> str:
     for row, of_steps in rows.items():
         for steps, runs in of_steps.items():
             scores = [cell for start in JUDGES.values() for cell in spread_cells(figure_of(runs, f"{start}rayiou"))]
-            curves = [read_curve(run.folder, "val/rayiou") for run in runs]
+            curves = [run.curves.get(VALIDATION, {}) for run in runs]
             ends = [_at(curves, float(steps) * part) for part in PARTS]
             lines.append([row, names.get(row, row), steps, *scores, *map(exact, ends)])
     return csv_text([*head, *(f"validation voxel RayIoU after {part:.0%} of the steps" for part in PARTS)], lines)
