@@ -89,5 +89,5 @@ def test_everything_is_trained_on_demand_and_for_other_presets(preset, full, wei
 def test_the_quick_demo_is_a_configuration_that_trains():
     config = compose_plain(ROOT / "conf", "train", ["model=extended", "preset=tiny", "+demo=quick"])
     check_root(OmegaConf.create(config))
-    assert config["stages"]["depth"]["weights"] == "tiny-depth"
+    assert config["stages"]["depth"]["weights"] == "tiny"
     assert config["stages"]["sketch"]["max_steps"] == 0

@@ -204,9 +204,10 @@ def test_the_real_fisheye_is_the_left_one(samples):
 
 
 def test_damaged_files_of_samples_are_named(tmp_path):
-    folder = tmp_path / "sequences" / "00" / "image_2"
+    sample = tmp_path / "sample"  # folders beside it are read, too
+    folder = sample / "sequences" / "00" / "image_2"
     folder.mkdir(parents=True)
     (folder / "000000.png").write_bytes(b"")
     (folder.parent / "calib.txt").write_text("P2: 1\n")
     with pytest.raises(DataError, match=r"calib\.txt, line 1"):
-        real_frames.read_folder(tmp_path)
+        real_frames.read_folder(sample)

@@ -31,6 +31,14 @@ def test_what_is_packed_is_read_as_a_checkpoint(packed):
     assert set(trained.model_weights) == {"a", "steps"}
 
 
+def test_what_does_not_fit_16_bits_is_kept_in_32(tmp_path):
+    weights = {"running_var": torch.tensor([66263.0, 1.0 + 2**-20]), "weight": torch.tensor([1.0 + 2**-20])}
+    pack_weights(tmp_path / f"a{SUFFIX}", "depth", CONFIG, weights, FACTS, half=True)
+    found = read_weights(tmp_path / f"a{SUFFIX}")[0]["state_dict"]
+    assert torch.equal(found["running_var"], weights["running_var"])
+    assert found["weight"] == 1.0
+
+
 def test_half_is_half_as_large_and_read_as_floats(tmp_path):
     large = {"model.a": torch.randn(100, 100), "model.steps": torch.tensor(7)}
     paths = [tmp_path / f"{half}{SUFFIX}" for half in (False, True)]

@@ -61,7 +61,7 @@ def pack_weights(
 ) -> None:
     """Write weights, the configuration that builds their model, and facts about their training to one file.
 
-    With `half` floating values are kept in 16 bits; reading them gives 32 again.
+    With `half` floating values are kept in 16 bits where they fit, below 65,520; reading them gives 32 again.
 
     Raises:
         DataError: when the disk refuses.
@@ -111,4 +111,7 @@ def _about(path: Path, text: str) -> dict[str, Any]:
 
 def _kept(value: Tensor, half: bool) -> Tensor:
     value = value.detach().cpu().contiguous()
-    return value.half() if half and value.is_floating_point() else value
+    if not half or not value.is_floating_point():
+        return value
+    halved = value.half()
+    return halved if halved.isfinite().all() else value
