@@ -1,6 +1,7 @@
 """What a training starts from: another run with its optimiser, or weights alone."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -13,6 +14,9 @@ from omniocc.runs.checkpoint_io import write_checkpoint
 from omniocc.train import AdamW
 from omniocc.train.stage_task import Recipe
 from omniocc.train.start import check_resumed, check_weights, load_first_weights, load_fitting, start_from
+
+DEPTH = str(Path(__file__).parents[2] / "tools" / "weights" / "any-rig-depth.safetensors")
+"""A depth network for any rig, without pretrained features."""
 
 
 @pytest.fixture
@@ -153,11 +157,11 @@ def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
         (("depth.hints=true",), "trained with other values: depth.pairs=alternate (there nearest)"),
     ):
         model, config = given(*overrides)
-        line = start_from(model, "any-rig", "depth", config)
-        assert line == (told and f"stages.depth.weights=any-rig fit; they were {told}")
+        line = start_from(model, DEPTH, "depth", config)
+        assert line == (told and f"stages.depth.weights={DEPTH} fit; they were {told}")
     model, config = given()
     with pytest.raises(UserError, match=r"size mismatch.*that it has there: .*depth\.hints=False \(there True\)"):
-        start_from(model, "any-rig", "depth", config)
+        start_from(model, DEPTH, "depth", config)
 
 
 def test_features_added_to_a_trained_network_change_nothing_at_first(smoke):
@@ -168,7 +172,7 @@ def test_features_added_to_a_trained_network_change_nothing_at_first(smoke):
     without, with_features = (smoke(*own, *others) for others in ((), more))
     first, second = build(without.depth), build(with_features.depth)
     for model, cfg in ((first, without), (second, with_features)):
-        start_from(model, "any-rig", "depth", plain(cfg))
+        start_from(model, DEPTH, "depth", plain(cfg))
     rig = Rig.load("fisheye6").resized(64, 36)
     images = torch.rand(1, len(rig.cameras), 3, 36, 64, generator=torch.Generator().manual_seed(0))
     ranges_m = [model.eval()(images, (rig,)).range_m for model in (first, second)]
