@@ -42,5 +42,5 @@ def test_images_of_the_documentation(page_of_tiny, open_page):
         page.drawn()
         page.page.wait_for_timeout(500)
         path = folder / f"{name}.jpg"
-        page.page.screenshot(path=path, type="jpeg", quality=84)
+        page.page.screenshot(path=path, type="jpeg", quality=74)
         assert 10_000 < path.stat().st_size < LARGEST_BYTES
