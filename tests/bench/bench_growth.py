@@ -3,8 +3,8 @@
 Each row does a piece of work and four times as much of it. The exponent is log4 of the ratio of both times: 1 if time
 is proportional to the work, 2 if it is to its square, 0 if it does not depend on it. One CPU thread, CPU time, best of
 the repeats; memory is the peak above what was held before. A run before leaves out what only the first one does, such
-as imports and tables of a grid or rig. On two busy cores all exponents were from 0.2 (runs of a report, whose 20 runs
-cost less than its page) to 1.04 (rigs); that of scenes, a few milliseconds, varied from 0.9 to 1.24.
+as imports and tables of a grid or rig. On two busy cores the exponents were 0.2 for runs of a report, since its page
+costs more than 20 runs, and 1.04 for rigs. Opening scenes takes milliseconds; its exponent varied from 0.9 to 1.24.
 """
 
 import argparse

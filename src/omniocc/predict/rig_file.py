@@ -93,8 +93,10 @@ def scaled_images(rig: Rig, images: Sequence[np.ndarray | None]) -> Iterator[str
     """Yield a line for every size of whole images (H, W, 3) that is not the calibration's."""
     found: dict[str, list[str]] = {}
     for name, camera, image in zip(rig.names, rig.cameras, images, strict=True):
-        size = (0, 0) if image is None else (image.shape[1], image.shape[0])
-        if image is not None and size != (camera.width, camera.height) and is_scaled(size, camera):
+        if image is None:
+            continue
+        size = image.shape[1], image.shape[0]
+        if size != (camera.width, camera.height) and is_scaled(size, camera):
             times = f"{size[0] / camera.width:.3g} of the calibration's {camera.width}x{camera.height} px"
             words = f"{size[0]}x{size[1]} px, {times}"
             found.setdefault(words, []).append(f"'{name}'")

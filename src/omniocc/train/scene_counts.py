@@ -84,9 +84,9 @@ def save_by_scene(folder: Path, scores: Scores, source: SceneSource, counted: Ma
     """
     if counted:
         scenes = [scene for scene in source.scenes("test") if isinstance(scene, SceneReader)]
-        conditions = {scene.name: scene.conditions for scene in scenes}
-        if len({scene.rigs[0].fingerprint for scene in scenes}) > 1:
-            conditions = {scene.name: conditions[scene.name] | {"rig": kind_of(scene.rigs[0])} for scene in scenes}
+        differ = len({scene.rigs[0].fingerprint for scene in scenes}) > 1
+        rigs = {scene.name: {"rig": kind_of(scene.rigs[0])} if differ else {} for scene in scenes}
+        conditions = {scene.name: scene.conditions | rigs[scene.name] for scene in scenes}
         save_scenes(folder, counted, conditions, source.spec.classes.names, scores.rays.counter.thresholds_m)
 
 

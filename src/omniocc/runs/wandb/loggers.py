@@ -141,7 +141,7 @@ class Loggers:
 
 
 def row_of(config: Mapping[str, Any], job_type: JobType) -> str:
-    """Return what a run is grouped by: its row, or the options of an earlier stage, which many rows share."""
+    """Return the value by which W&B groups runs: the name of the row, or the options of a depth or sketch run."""
     if job_type not in ("depth", "sketch"):
         return config["name"]
     depth = option_of(config["depth"])
