@@ -6,7 +6,6 @@ from omniocc.draw.ranges import (
     NOT_PREDICTED,
     RANGE_TICKS_M,
     SKY,
-    bridged,
     error_bar,
     error_colors,
     range_bar,
@@ -22,20 +21,6 @@ def test_near_is_red_far_is_blue_and_sky_and_gaps_have_other_colours():
     assert colors[0, 1, 0] > 2 * colors[0, 1, 2]
     assert colors[1, 0, 2] > 2 * colors[1, 0, 0]
     assert range_colors(np.array([np.inf, np.nan])).tolist() == [list(SKY), list(NOT_PREDICTED)]
-
-
-def test_only_narrow_gaps_between_ranges_are_bridged():
-    nan = np.nan
-    ranges = np.array([[nan, 4, 2], [9, nan, nan], [nan, nan, nan], [nan, nan, nan], [nan, 6, nan], [8, nan, 1]])
-    filled, gap = bridged(ranges)
-    assert gap.T.tolist() == [
-        [False, False, True, True, True, False],
-        [False, True, True, True, False, False],
-        [False] * 6,
-    ]
-    assert filled[2:5, 0].tolist() == [9, 9, 9]
-    assert filled[1:4, 1].tolist() == [4, 4, 4]
-    assert np.array_equal(filled[~gap], ranges[~gap], equal_nan=True)
 
 
 def test_the_bar_shows_the_colour_of_its_ticks():

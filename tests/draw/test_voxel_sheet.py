@@ -4,7 +4,6 @@ import torch
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.draw.ranges import NOT_PREDICTED
 from omniocc.draw.voxel_sheet import RangePanorama, camera_order, columns_of, occupancy_sheet
 from omniocc.geometry import Cuboid, Cylinder
 
@@ -49,16 +48,3 @@ def test_sheets_of_any_rig_with_and_without_truth_and_ranges(name, geometry):
         assert sheet.shape[1:] == (700, 3)
         heights.append(len(sheet))
     assert heights[0] < heights[1] < heights[2]
-
-
-def test_gaps_of_moved_ranges_are_not_drawn_as_missing():
-    rig, grid = Rig.load("surround_view").resized(64, 36), Cuboid((8, 8, 4), (-10.0, 10.0), (-10.0, 10.0), (-2.8, 3.6))
-    ranges = torch.full((6, 24), 4.0)
-    ranges[3] = torch.nan
-    images, nothing = [np.zeros((36, 64, 3), np.uint8)] * 4, torch.zeros(grid.shape, dtype=torch.uint8)
-    grey = []
-    for moved in (False, True):
-        panorama = RangePanorama(RANGES.panorama, ranges, moved)
-        sheet = occupancy_sheet(images, rig, nothing, grid, WORLD_CLASSES, panorama, width_px=700)
-        grey.append(int((sheet == NOT_PREDICTED).all(2).sum()))
-    assert grey[0] - grey[1] > 600 * 20  # a row of the panorama

@@ -44,7 +44,7 @@ def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Sparse CSR", "ignore:No complete tensor found")
 def test_a_rig_at_another_height_has_the_voxels_of_predict(tmp_path, capsys):
-    """The road of `surround_view` is .916 m below its origin; `any-rig` has a threshold and re-projects its ranges."""
+    """The road of `surround_view` is .916 m below its origin; `any-rig` has a threshold."""
     rig, trained, output = Rig.load("surround_view"), load("any-rig"), tmp_path / "model.pt2"
     files.export_files("any-rig", rig, output)
     assert "the grid lies 1.28 m higher" in capsys.readouterr().err

@@ -16,7 +16,6 @@ OPTIONS = [
     ["model/temporal=none", "model/depth=omnimvs3d"],
     ["model/temporal=none", "model/backbone=efficientnet_lite0"],
     ["model/temporal=none", "model/depth=mono"],
-    ["model/temporal=none", "model/depth=centred"],
     ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],
     [
         "model/temporal=none",

@@ -16,8 +16,6 @@ RANGE_LEGEND = [("sky", SKY), ("not predicted", NOT_PREDICTED)]
 ERROR_LEGEND = [("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)]
 UNKNOWN_RANGE: tuple[str, Rgb] = ("not predicted: sky, not seen, or uncertain", NOT_PREDICTED)
 """Entry of the legend of predicted ranges."""
-WIDEST_GAP = 3
-"""Rows of a panorama between two ranges that count as a gap of its re-projection."""
 
 TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
 
@@ -36,23 +34,6 @@ def range_colors(range_m: np.ndarray) -> np.ndarray:
     colors[np.isposinf(range_m)] = SKY
     colors[np.isnan(range_m)] = NOT_PREDICTED
     return colors
-
-
-def bridged(range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ranges (h, w) without the gaps that re-projection leaves, and where these gaps were.
-
-    A gap is a run of up to `WIDEST_GAP` rows without a range between two of its column; it gets the range above it.
-    """
-    known, rows = np.isfinite(range_m), np.arange(len(range_m))[:, None]
-    above = np.maximum.accumulate(np.where(known, rows, -1))
-    below = np.minimum.accumulate(np.where(known, rows, len(rows))[::-1])[::-1]
-    gap = ~known & (above >= 0) & (below < len(rows)) & (below - above <= WIDEST_GAP + 1)
-    return np.where(gap, np.take_along_axis(range_m, above.clip(0), 0), range_m), gap
-
-
-def pale(colors: np.ndarray) -> np.ndarray:
-    """Return colours (..., 3) mixed with white."""
-    return (0.45 * colors + 0.55 * 255).astype(np.uint8)
 
 
 def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from omniocc.draw.bev import bev, error_legend
 from omniocc.draw.canvas import Images, Labels, Ranges, class_legend, legend
 from omniocc.draw.compare import views_and_maps
 from omniocc.draw.paint import paint_voxels, voxel_panorama
-from omniocc.draw.ranges import UNKNOWN_RANGE, bridged, pale, range_bar, range_colors
+from omniocc.draw.ranges import UNKNOWN_RANGE, range_bar, range_colors
 from omniocc.draw.sheet import (
     azimuths,
     camera_rows,
@@ -42,12 +42,10 @@ class RangePanorama(NamedTuple):
     Attributes:
         panorama: directions of its pixels.
         range_m: ranges, nan where no range is predicted.
-        moved: whether they were predicted around another origin and re-projected, which leaves gaps between points.
     """
 
     panorama: Equirectangular
     range_m: Ranges
-    moved: bool = False
 
 
 def occupancy_sheet(
@@ -108,14 +106,8 @@ def _panoramas(
     ]
     if ranges is None:
         return [*rows, azimuths(width)]
-    colors, entries = range_colors(ranges.range_m.numpy()), [UNKNOWN_RANGE]
-    if ranges.moved:
-        filled, gap = bridged(ranges.range_m.numpy())
-        colors[gap] = pale(range_colors(filled[gap]))
-        tint = tuple(pale(range_colors(np.array(4.0))).tolist())
-        entries.append(("pale: gap between points, which are moved to the origin of the voxels", tint))
-    predicted = panorama_row(colors, "predicted range", width)
-    return [*rows, predicted, azimuths(width), range_bar(width), legend(entries, width)]
+    predicted = panorama_row(range_colors(ranges.range_m.numpy()), "predicted range", width)
+    return [*rows, predicted, azimuths(width), range_bar(width), legend([UNKNOWN_RANGE], width)]
 
 
 def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:

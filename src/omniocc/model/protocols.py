@@ -137,8 +137,7 @@ class Backbone(Protocol):
 class Depth(Protocol):
     """Estimate a panorama of ranges in the ego frame.
 
-    An option that finds ranges by comparing cameras says so by `COMPARES_CAMERAS = True`, and one whose ranges that are
-    not valid mean nothing by `LEAVES_RAYS_OUT = True`; errors of range do not count these.
+    An option that finds ranges by comparing cameras says so by `COMPARES_CAMERAS = True`.
 
     Attributes:
         NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.

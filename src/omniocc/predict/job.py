@@ -130,7 +130,7 @@ class Job:
             caption = f"{f'{sequence.name} {sequence.frame_names[frame]}'.strip()}{missing}".lstrip(", ")
             ranges = None
             if predictor.panorama is not None and prediction.range_m is not None:
-                ranges = RangePanorama(predictor.panorama, prediction.range_m, predictor.leaves_rays_out)
+                ranges = RangePanorama(predictor.panorama, prediction.range_m)
             voxels = None if truth is None else truth.voxels[0]
             sheet = occupancy_sheet(
                 images, sequence.rig, labels, geometry, classes, ranges=ranges, truth=voxels, caption=caption

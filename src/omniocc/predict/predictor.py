@@ -156,12 +156,6 @@ class Predictor:
         sketch = self.model.sketch
         return cast(LearnedSketch, sketch) if learns(type(sketch)) else None
 
-    @property
-    def leaves_rays_out(self) -> bool:
-        """Return whether ranges are re-projected, which leaves gaps between them; see `Depth`."""
-        sketch = self.learned_sketch
-        return sketch is not None and getattr(sketch.depth, "LEAVES_RAYS_OUT", False)
-
     def scaled(self, images: Images, rig: Rig) -> tuple[Float32[Tensor, "1 N 3 H W"], Rig]:
         """Return the images of a frame, of any size, scaled to the width, those of left-out cameras black; and the rig.
 

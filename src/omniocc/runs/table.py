@@ -105,8 +105,7 @@ DEPTH_COLUMNS = {
 }
 SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "fraction": "fraction"}
 DEPTH_EXPLANATION = (
-    "Errors of range over the test panoramas, on every ray with a true range, without those that model/depth=centred "
-    "leaves out; index: error in percent of the spheres."
+    "Errors of range over the test panoramas, on every ray with a true range; index: error in percent of the spheres."
 )
 SKETCH_EXPLANATION = (
     "Candidates against occupied true voxels; fraction: candidates among all voxels. raw: before dilation."

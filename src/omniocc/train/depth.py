@@ -66,9 +66,7 @@ class DepthTask(StageTask[nn.Module]):
         """Score a batch and return the predicted panoramas."""
         depth = self.model(batch.images[:, -1], batch.newest_rigs, batch.erp_range_m)
         if batch.erp_range_m is not None:
-            # every ray is scored, also uncertain ones, but none that has no range
-            answered = depth.valid if getattr(self.model, "LEAVES_RAYS_OUT", False) else None
-            self.errors.update(depth.range_m.float(), batch.erp_range_m, answered)
+            self.errors.update(depth.range_m.float(), batch.erp_range_m)  # also of uncertain rays
             self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
             rows = score_confidence(depth, batch.erp_range_m)
             self.calibration.update(rows[:, 0], rows[:, 2] > 0)

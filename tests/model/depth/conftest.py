@@ -35,7 +35,6 @@ SIZES = {
         "mirror": False,
     },
 }
-SIZES["Centred"] = SIZES["OmniMVS"]
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import torch
 from omniocc.model import depth
 from omniocc.model.depth import Depth, LearnedDepth, learns
 
-NETS = ["OmniMVS", "Centred", "OmniMVS3D"]
+NETS = ["OmniMVS", "OmniMVS3D"]
 BLIND = ["Sweep", "Mono", *NETS]
 every = pytest.mark.parametrize("name", BLIND)
 

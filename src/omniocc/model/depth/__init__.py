@@ -1,6 +1,5 @@
 """Depth slot: the range around the ego origin, seen from several cameras."""
 
-from omniocc.model.depth.centred import Centred
 from omniocc.model.depth.mono import Mono
 from omniocc.model.depth.omnimvs import OmniMVS
 from omniocc.model.depth.omnimvs3d import OmniMVS3D
@@ -12,7 +11,6 @@ from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.protocols import Depth, LearnedDepth, learns
 
 __all__ = [
-    "Centred",
     "Depth",
     "DepthMap",
     "LearnedDepth",

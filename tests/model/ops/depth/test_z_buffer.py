@@ -1,4 +1,4 @@
-"""The nearest of points in each pixel of a panorama, and ranges around another origin."""
+"""The nearest of points in each pixel of a panorama."""
 
 import math
 
@@ -6,9 +6,7 @@ import pytest
 import torch
 
 from omniocc.camera import Equirectangular
-from omniocc.model.depth import SphereRange
-from omniocc.model.ops.depth.depth_map import from_index
-from omniocc.model.ops.depth.z_buffer import draw_front, reproject
+from omniocc.model.ops.depth.z_buffer import draw_front
 
 INF = float("inf")
 PANORAMA = Equirectangular(16, 5, 45.0, -45.0)
@@ -62,44 +60,3 @@ def test_slanted_ground_is_not_too_near():
 def test_straight_behind():
     nearest, _ = draw_front(torch.tensor([[[-2.0, 0.0, 0.0]]]), torch.ones(1, 1), torch.tensor([[True]]), PANORAMA)
     assert nearest[0, 2, 0] == 2 or nearest[0, 2, 15] == 2
-
-
-def box_around(panorama, low_m, high_m):
-    """Return the range in every direction of the walls of an upright box around the origin, with floor and ceiling."""
-    rays = panorama.rays().double()
-    to_wall_m = torch.where(rays > 0, torch.tensor(high_m).double() / rays, torch.tensor(low_m).double() / rays)
-    return to_wall_m.amin(-1)
-
-
-def test_ranges_around_a_lower_origin_are_those_of_the_same_walls(rig):
-    panorama = Equirectangular(128, 96, 90.0, -90.0)
-    spheres = SphereRange(64, 0.5).of(rig, panorama)
-    low, high = (-6.0, -5.0, -2.0), (7.0, 9.0, 8.0)
-    raised_m = 0.75
-    around = box_around(panorama, low, high)[None].float()
-    confidence = torch.rand(1, 96, 128)
-    depth = from_index(spheres.index(around), torch.ones_like(around) > 0, confidence, spheres)
-    moved = reproject(depth, panorama, spheres, raised_m)
-    lower = (*low[:2], low[2] + raised_m), (*high[:2], high[2] + raised_m)
-    expected = box_around(panorama, *lower)[None].float()
-    assert moved.valid.float().mean() > 0.9
-    wrong = (moved.range_m / expected - 1).abs()[moved.valid]
-    assert wrong.median() < 0.01
-    assert wrong.quantile(0.95) < 0.03
-    assert (depth.range_m / expected - 1).abs().median() > 0.05  # they were others around the old origin
-    torch.testing.assert_close(moved.range_m, spheres.range_m(moved.index))
-    unmoved = reproject(depth, panorama, spheres, 0.0)
-    torch.testing.assert_close(unmoved.range_m, depth.range_m, rtol=1e-3, atol=1e-3)
-    torch.testing.assert_close(unmoved.confidence, confidence, rtol=1e-3, atol=1e-3)
-
-
-def test_what_is_not_valid_is_not_drawn(rig):
-    panorama = Equirectangular(32, 16, 90.0, -90.0)
-    spheres = SphereRange(16, None).of(rig, panorama)
-    valid = torch.zeros(1, 16, 32, dtype=torch.bool)
-    valid[0, 8, 5] = True
-    depth = from_index(torch.full((1, 16, 32), 3.0), valid, torch.full((1, 16, 32), 0.5), spheres)
-    moved = reproject(depth, panorama, spheres, 0.0)
-    assert moved.valid.nonzero().tolist() == [[0, 8, 5]]
-    assert moved.range_m.isfinite().all()
-    assert moved.confidence[~moved.valid].eq(0).all()

@@ -1,12 +1,10 @@
-"""Panoramas of the nearest of many points, such as those of ranges around another origin."""
+"""Panoramas of the nearest of many points."""
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular
-from omniocc.model.ops.depth.depth_map import DepthMap, from_index
-from omniocc.model.ops.depth.spheres import Spheres
 
 SAME_SURFACE = 1.5
 """Points of a pixel up to this many times as far as its nearest one belong to the same surface."""
@@ -52,22 +50,3 @@ def _cell(pixels: Float[Tensor, "B P 2"], drawn: Bool[Tensor, "B P"], panorama: 
     column, row = pixels.long().unbind(-1)
     drawn = drawn & (row >= 0) & (row < panorama.height)
     return torch.where(drawn, row * panorama.width + column % panorama.width, panorama.height * panorama.width)
-
-
-def reproject(depth: DepthMap, panorama: Equirectangular, spheres: Spheres, height_m: float) -> DepthMap:
-    """Return ranges around an origin that lies `height_m` lower, in the same panorama.
-
-    Valid ranges are drawn as points, the nearest surface in front. Pixels that none falls into are not valid.
-
-    Args:
-        depth: ranges around the old origin.
-        panorama: directions of the ranges around both origins.
-        spheres: to which the indices of the result refer.
-        height_m: of the old origin above the new one, m; negative where it is lower.
-    """
-    rays = panorama.rays(depth.range_m.device).to(depth.range_m)
-    points_m = depth.range_m[..., None] * rays + rays.new_tensor([0, 0, height_m])
-    confidence, valid = depth.confidence.flatten(1), depth.valid.flatten(1)
-    range_m, confidence = draw_front(points_m.flatten(1, 2), confidence, valid, panorama)
-    index = spheres.index(range_m.clamp(max=spheres.farthest_m))
-    return from_index(index, range_m.isfinite(), confidence, spheres)
