@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from omniocc.model.ops.depth.layers import FeatureNet
-from omniocc.model.ops.efficientnet import LAST, FrozenLite0
+from omniocc.model.ops.efficientnet import LAST, FrozenLite0, encoder_with
 
 
 def test_maps_of_all_levels_have_the_size_of_their_stride_and_the_coarsest_of_the_network():
@@ -41,3 +41,21 @@ def test_features_without_them_are_what_they_were():
     images = torch.rand(1, 2, 3, 16, 32)
 
     assert torch.equal(plain(images), other(images))
+
+
+@torch.no_grad()
+def test_a_frozen_network_computes_what_it_did_also_after_loading_and_converting():
+    torch.manual_seed(1)
+    plain, images = encoder_with(None).eval(), torch.randn(2, 3, 32, 64)
+    frozen = FrozenLite0(None).encoder
+    assert frozen.state_dict().keys() == plain.state_dict().keys()
+
+    for name, value in plain.state_dict().items():
+        if "norm" in name and value.is_floating_point():
+            value.copy_(0.5 + torch.rand_like(value))
+    frozen.load_state_dict(plain.state_dict())
+    for own, other in zip(frozen(images), plain(images), strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-4, atol=1e-4 * float(other.abs().max()))
+
+    for own, other in zip(frozen.double()(images.double()), plain.double()(images.double()), strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-10, atol=1e-10 * float(other.abs().max()))

@@ -39,7 +39,9 @@ class EfficientNetLite0(nn.Module):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
         check_finest_first(list(levels))
         self.channels, self.levels, self.frozen = channels, list(levels), frozen
-        self.encoder = encoder_with(weights).requires_grad_(not frozen)
+        self.encoder = encoder_with(weights)
+        if frozen:
+            self.encoder.freeze()
         self.normalize = Normalize(self.encoder, MEAN, STD)
         self.fpn = FPN([LAST[stride] for stride in STRIDES], channels, [STRIDES.index(level) for level in levels])
         self.train()

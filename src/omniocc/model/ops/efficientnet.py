@@ -1,6 +1,7 @@
 """The first 11 blocks of EfficientNet-Lite0 (Liu, 2020), which is EfficientNet-B0 without squeeze-and-excitation."""
 
 from collections import OrderedDict
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -9,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from omniocc.errors import UserError, installing
 from omniocc.model.ops.backbone import Normalize, on_padded
@@ -46,6 +48,13 @@ class Encoder(nn.Module):
                 self.blocks.append(Block(inputs, channels, kernel, 1 if index else stride, expansion))
                 inputs = channels
 
+    def freeze(self) -> "Encoder":
+        """Keep weights and statistics of batch norm as they are, which makes the network faster; return it."""
+        for layer in self.modules():
+            if isinstance(layer, Convolution):
+                layer.fold()
+        return self.requires_grad_(False).eval()
+
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
         """Return the maps of the strides in `LAST`."""
         found, maps = self.stem(images), []
@@ -68,7 +77,7 @@ class FrozenLite0(nn.Module):
 
     def __init__(self, weights: Literal["imagenet"] | None):
         super().__init__()
-        self.encoder = encoder_with(weights).requires_grad_(False)
+        self.encoder = encoder_with(weights).freeze()
         self.normalize = Normalize(self.encoder, MEAN, STD)
 
     def train(self, mode: bool = True) -> "FrozenLite0":
@@ -117,7 +126,14 @@ class Convolution(nn.Module):
     """A convolution and batch norm with TensorFlow's constants, and ReLU6 if `limited`.
 
     The padding is TensorFlow's 'same': with a stride of 2 and even sizes one row and one column more at the end.
+
+    Attributes:
+        kernel: the weights with batch norm folded into them, which take two thirds of the time; None until `fold`.
+        bias: likewise.
     """
+
+    kernel: Tensor | None
+    bias: Tensor | None
 
     def __init__(
         self, inputs: int, outputs: int, kernel: int = 1, stride: int = 1, groups: int = 1, limited: bool = True
@@ -128,12 +144,39 @@ class Convolution(nn.Module):
         self.conv = nn.Conv2d(inputs, outputs, kernel, stride, 0 if self.padding else before, groups=groups, bias=False)
         self.norm = nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01)
         self.limited = limited
+        self.register_buffer("kernel", None, persistent=False)
+        self.register_buffer("bias", None, persistent=False)
         nn.init.kaiming_normal_(self.conv.weight)  # torch's default halves what passes a layer, of which there are 32
 
     def forward(self, maps: Float[Tensor, "B _ _ _"]) -> Float[Tensor, "B _ _ _"]:
         """Return the convolved maps."""
-        found = self.norm(self.conv(F.pad(maps, self.padding) if self.padding else maps))
+        maps = F.pad(maps, self.padding) if self.padding else maps
+        if self.kernel is None:
+            found = self.norm(self.conv(maps))
+        else:
+            conv = self.conv
+            found = F.conv2d(maps, self.kernel, self.bias, conv.stride, conv.padding, groups=conv.groups)
         return F.relu6(found, inplace=True) if self.limited else found
+
+    @torch.no_grad()
+    def fold(self) -> None:
+        """Use weights and batch norm as they are, now and after other weights are loaded or converted."""
+        norm, weight = self.norm, self.conv.weight
+        constants = norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+        if self.kernel is None:
+            self.register_load_state_dict_post_hook(Convolution._fold_again)
+        kernel, bias = fuse_conv_bn_weights(weight, None, *constants)
+        self.kernel, self.bias = kernel.detach(), bias.detach()
+
+    @staticmethod
+    def _fold_again(layer: "Convolution", _: object) -> None:
+        layer.fold()
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "Convolution":
+        super()._apply(fn, recurse)
+        if self.kernel is not None:
+            self.fold()  # from converted weights, not by converted results
+        return self
 
 
 def encoder_with(weights: Literal["imagenet"] | None) -> Encoder:
