@@ -128,7 +128,7 @@ ROOT: dict[str, Any] = {
     "plan": bool,
 }
 """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
-GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "appearance", "range_mixture")
+GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "appearance")
 GROUPS += ("callbacks", "trainer", "logger", "paths")
 """The groups at the root of `train.yaml`."""
 NAMES = ("name", "preset.name", "logger.group")

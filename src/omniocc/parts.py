@@ -61,11 +61,6 @@ class Parts:
         """Return the augmentation of the depth stage, `omniocc.data.Appearance` or `Disturbances`; None without any."""
         return None if self.cfg.appearance is None else build(self.cfg.appearance)
 
-    def range_mixture(self) -> Any:
-        """Return what replaces ranges in the training of sketch and occupancy, `omniocc.data.RangeMixture`, or None."""
-        mixture = self.cfg.get("range_mixture")  # checkpoints of older versions have none
-        return None if mixture is None else build(mixture)
-
     def loss(self) -> Any:
         """Return the loss of the occupancy stage, `omniocc.loss.TotalLoss`."""
         return build(self.cfg.loss)

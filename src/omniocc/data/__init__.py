@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 from omniocc.data.augment.appearance import Appearance
 from omniocc.data.augment.augment import Augment
 from omniocc.data.augment.disturbances import Disturbances
-from omniocc.data.augment.range_mixture import RangeMixture
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
 from omniocc.data.source.recorded import Recorded
@@ -26,7 +25,6 @@ __all__ = [
     "Needs",
     "OccupancyData",
     "RangeCache",
-    "RangeMixture",
     "Recorded",
     "SceneReader",
     "SceneSource",

@@ -123,5 +123,4 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
         config=config,
         lr_multipliers=factors,
         seed=seed,
-        mixture=parts.range_mixture(),
     )

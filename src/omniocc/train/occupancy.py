@@ -1,7 +1,7 @@
 """The occupancy stage: train the model, validate by RayIoU, test it beside a baseline and the true voxels."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, cast
+from typing import Any
 
 import torch
 from lightning.pytorch import Callback
@@ -11,16 +11,16 @@ from torch import Tensor, nn
 from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
-from omniocc.data import Augment, RangeMixture, SourceSpec
+from omniocc.data import Augment, SourceSpec
 from omniocc.errors import UserError
 from omniocc.loss import TotalLoss
 from omniocc.model import OccupancyModel, Prediction, Stream
-from omniocc.model.protocols import LearnedSketch, Sketch, Sketched
+from omniocc.model.protocols import Sketched
 from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
 from omniocc.train.scene_counts import SceneCounts
 from omniocc.train.scores import Scores
-from omniocc.train.sketch import finite_ranges, rays_of
+from omniocc.train.sketch import rays_of
 from omniocc.train.stage_task import StageTask, log_terms, step_generator
 
 
@@ -39,8 +39,6 @@ class OccupancyTask(StageTask[OccupancyModel]):
         lr_multipliers: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps
             its weights and its statistics of batch norm.
         seed: of the random changes.
-        mixture: better and worse ranges of the newest frame of some training samples, from which the sketch then
-            finds its candidates anew; None: candidates as the sketch stage found them.
 
     Raises:
         UserError: when the model has no such part, a factor is negative, or nothing is left to train.
@@ -59,14 +57,13 @@ class OccupancyTask(StageTask[OccupancyModel]):
         config: dict[str, Any],
         lr_multipliers: Mapping[str, float],
         seed: int,
-        mixture: RangeMixture | None = None,
     ):
         super().__init__(model, optimizer, config)
         self.lr_multipliers, self.seed = lr_multipliers, seed
         self.fixed = fixed_parts(model, lr_multipliers)
         self.train()
         self.loss = loss
-        self.augment, self.mixture = augment, mixture
+        self.augment = augment
         self.ema_decay = ema_decay
         self.stream = Stream(model)
         self.scores = Scores(model.geometry, spec)
@@ -118,8 +115,6 @@ class OccupancyTask(StageTask[OccupancyModel]):
         """Return the sum of the loss terms; each is logged by name."""
         generator = step_generator(self, self.seed, batch_index)
         batch = self.augment(batch, generator)
-        if self.mixture is not None:
-            batch = with_other_ranges(batch, self.model.sketch, self.mixture, generator)
         prediction = self.predict(batch)
         terms = self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m)
         return log_terms(self, terms | self.loss.ray_terms(prediction.logits, rays_of(batch), generator), batch)
@@ -191,23 +186,6 @@ def fixed_parts(model: nn.Module, factors: Mapping[str, float]) -> tuple[nn.Modu
     if not any(parameter.requires_grad for parameter in model.parameters()):
         raise UserError("lr_multipliers: nothing of the model is left to train")
     return tuple(part for name, part in parts.items() if name and factor_of(name, factors) == 0)
-
-
-@torch.no_grad()
-def with_other_ranges(batch: Batch, sketch: Sketch, mixture: RangeMixture, generator: torch.Generator) -> Batch:
-    """Return a batch in which the newest frame of some samples has what a sketch finds in changed ranges."""
-    if batch.depth_range_m is None or batch.candidates is None:
-        return batch
-    range_m, changed = mixture(batch.depth_range_m, batch.erp_range_m, generator)
-    if not bool(changed.any()):
-        return batch
-    found = cast(LearnedSketch, sketch).propose(*finite_ranges(range_m[changed]))
-    candidates, evidence = batch.candidates.clone(), batch.evidence
-    candidates[changed, -1] = found.candidates
-    if evidence is not None and found.bits is not None:
-        evidence = evidence.clone()
-        evidence[changed, -1] = found.bits
-    return batch._replace(candidates=candidates, evidence=evidence)
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:

@@ -6,7 +6,6 @@ from typing import Any, cast
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
-from omniocc.data import RangeMixture
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.loss import Rays, TotalLoss
 from omniocc.metric import CandidateScores
@@ -21,7 +20,6 @@ class SketchTask(StageTask[nn.Module]):
     Args:
         model: learned sketch; its depth option is not run, since batches hold the panoramas.
         range_edges_m: ends of the distance bands in which figures are given.
-        mixture: better and worse ranges for some training samples; None: the panoramas as they are.
         seed: of the choice of these samples.
         loss: of the occupancy stage, whose terms of measured rays train the sketch too; None: voxels alone.
     """
@@ -34,12 +32,11 @@ class SketchTask(StageTask[nn.Module]):
         optimizer: AdamW,
         range_edges_m: Sequence[float],
         config: dict[str, Any],
-        mixture: RangeMixture | None = None,
         seed: int = 0,
         loss: TotalLoss | None = None,
     ):
         super().__init__(model, optimizer, config)
-        self.mixture, self.seed = mixture, seed
+        self.seed = seed
         self.loss = loss if loss is not None and len(loss.lidar) else None
         grid = cast(Cylinder | Cuboid, self.sketch.geometry)
         self.raw = CandidateScores(grid, range_edges_m)
@@ -53,8 +50,6 @@ class SketchTask(StageTask[nn.Module]):
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
         draw = step_generator(self, self.seed, batch_index)
-        if self.mixture is not None and batch.depth_range_m is not None:
-            batch = batch._replace(depth_range_m=self.mixture(batch.depth_range_m, batch.erp_range_m, draw)[0])
         terms = {} if batch.voxels is None else self.sketch.weighted_losses(*panorama(batch), batch.voxels)
         if self.loss is not None:
             rays = rays_of(batch)

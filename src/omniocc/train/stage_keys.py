@@ -76,11 +76,10 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     )
     network = _without(sketch, selection)
     labels = config["data"]["ignore"]
-    mixture = [config["range_mixture"]] if config.get("range_mixture") else []
-    code = foreign_code([network, stages["sketch"], *mixture])
+    code = foreign_code([network, stages["sketch"]])
     loss = config["loss"]
     rays = [sorted(loss["rays"]["frames"]), loss["lidar"]] if loss.get("rays") else []
-    recipe = [stages["sketch"], trainer, labels, *mixture, *rays]
+    recipe = [stages["sketch"], trainer, labels, *rays]
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, *recipe, *code])
     arguments = {name: sketch[name] for name in selection}
     candidates_key = short_hash([VERSIONS["candidates"], sketch_key, arguments])

@@ -215,13 +215,12 @@ class SketchStage(EarlierStage):
 
     def task(self, rig: Rig) -> SketchTask:  # noqa: D102
         edges_m, config = self.data.spec.range_edges_m, self.parts.config
-        mixture, loss = self.parts.range_mixture(), self.parts.loss()
-        return SketchTask(self.parts.sketch(), self.recipe.optimizer, edges_m, config, mixture, self.recipe.seed, loss)
+        recipe, loss = self.recipe, self.parts.loss()
+        return SketchTask(self.parts.sketch(), recipe.optimizer, edges_m, config, recipe.seed, loss)
 
     def needs(self, task: StageTask) -> tuple[Needs, Needs]:  # noqa: D102
         test = Needs(pixel_labels=False, scores=False, depth=self.depth.ranges)
-        mixed = cast(SketchTask, task).mixture is not None
-        return test._replace(images=False, panorama=mixed, **self.ray_needs(self.parts.loss())), test
+        return test._replace(images=False, **self.ray_needs(self.parts.loss())), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
         """Load the weights of the depth stage and those that the recipe names."""
@@ -283,8 +282,6 @@ class OccupancyStage(Stage):
         test = Needs(pixel_labels=False, candidates=sketch and sketch.candidates, evidence=sketch and sketch.evidence)
         learned: dict[str, Any] = {"pixel_labels": len(loss.pixel) > 0, "camera_ranges": len(loss.ray) > 0}
         learned |= self.ray_needs(loss)
-        if sketch is not None and cast(OccupancyTask, task).mixture is not None:
-            learned |= {"panorama": True, "depth": sketch.depth.ranges}
         return test._replace(scores=False, **learned), test
 
     def initialize(self, task: StageTask, data: OccupancyData, checkpoint: Path | None) -> str | None:
