@@ -40,8 +40,8 @@ ORIGIN_ABOVE_ROAD_M, ROAD_WITHIN_M = 2.2, 0.2
 FEWEST_MINUTES = 3.0
 TEST_SHARE, FRAMES_SHARE = 0.15, 0.25
 """Of all time: about this for validation and tests, and at most this for making training frames and their ranges."""
-SHARES = {"sketch": 0.25, "occupancy": 0.75}
-"""Of the time that is left for training."""
+SHARES = {"depth": 0.3, "sketch": 0.15, "occupancy": 0.55}
+"""Of the time that is left for training, in proportion, where all three stages train."""
 SCENES = 16, 480
 """Fewest and most training streets."""
 STEP = 10
@@ -166,7 +166,7 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
     parts = Parts(cfg)
     begin_s = time.monotonic()
     stages = {stage.NAME: stage for stage in stages_of(parts, parts.data())}
-    steps_s = {name: step_seconds(stages[name]) for name in SHARES}
+    steps_s = {name: step_seconds(stages[name]) for name in SHARES if cfg.stages[name].max_steps}
     alone = parts.source(workers=0)
     frame_s, frame_bytes = frame_cost(alone, stages["depth"])
     left_s = (1 - TEST_SHARE) * seconds - (time.monotonic() - begin_s)
@@ -179,7 +179,8 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
         scenes = min(max(fitting, SCENES[0]), SCENES[1])
         frames = scenes * each
     left_s -= (frames + others) * frame_s
-    steps = {name: int(share * left_s / steps_s[name]) // STEP * STEP for name, share in SHARES.items()}
+    whole = sum(SHARES[name] for name in steps_s)
+    steps = {name: int(SHARES[name] / whole * left_s / each_s) // STEP * STEP for name, each_s in steps_s.items()}
     if min(steps.values()) < STEP:
         raise UserError(f"minutes={seconds / 60:g}: no time is left for training on this machine; give more")
     made = f"{clock((frames + others) * frame_s)}, {(frames + others) * frame_bytes / 1e6:.0f} MB in {source.folder}"

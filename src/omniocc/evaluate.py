@@ -134,6 +134,7 @@ def score_each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> No
 def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> None:
     """Score a checkpoint on the test scenes; write metrics, table and images to the folder."""
     task, data = trained.task, trained.data
+    data.restrict_to("test")
     data.set_ray_origins(options.origins)
     if data.num_classes == OCCUPANCY_CLASSES.num_classes:
         print(f"classes   {ONE_CLASS}", flush=True)

@@ -16,6 +16,7 @@ from omniocc.data.module import EpochSampler, RankSampler, shuffled
 from omniocc.data.source import BenchmarkFrame
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder, resample
+from omniocc.parts import Parts
 from omniocc.train.scores import Scores, within_reach
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
@@ -330,3 +331,12 @@ def test_complete_data_on_a_read_only_disk_are_used_and_other_voxels_name_the_ke
         make(tmp_path, grid=HIGH).prepare_data()
     with pytest.raises(DataError, match=r"^cannot write .*: the folder is read-only: .* \(paths\.data=\.\.\.\)"):
         make(tmp_path / "more").prepare_data()
+
+
+def test_only_the_scenes_of_one_split_are_made_and_opened_where_the_others_are_not_needed(smoke, tmp_path):
+    data = Parts(smoke(f"paths.data={tmp_path}", "data.source.workers=0")).data()
+    data.restrict_to("test")
+    data.prepare_data()
+    assert {meta.parent.name[:5] for meta in data.source.folder.glob("*/meta.json")} == {"test-"}
+    data.setup()
+    assert len(list(data.test_dataloader())) == 1

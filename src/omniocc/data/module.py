@@ -20,7 +20,7 @@ from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.loader import Loader
 from omniocc.data.origins import Origins
-from omniocc.data.source import SPLITS, Ignore, SceneFrames, SceneSource, SourceSpec, Split, VoxelLabels
+from omniocc.data.source import SPLITS, Ignore, MadeScenes, SceneFrames, SceneSource, SourceSpec, Split, VoxelLabels
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
 from omniocc.errors import UserError, moved_by
@@ -169,6 +169,7 @@ class OccupancyData(LightningDataModule):
         self.ray_azimuths = ray_azimuths
         self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
         self.origins: Origins = "own"
+        self.splits: Sequence[Split] = SPLITS
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 
@@ -178,11 +179,16 @@ class OccupancyData(LightningDataModule):
         Raises:
             UserError: if the source has another number of classes than the model.
         """
+        source = self.source
         with moved_by("paths.data"):
-            self.source.prepare()
+            if isinstance(source, MadeScenes) and self.splits != SPLITS:
+                for split in self.splits:
+                    source.made(split, list(source.planned(split)))
+            else:
+                source.prepare()
         self.check_classes()
         with moved_by("data.source.cache"):
-            self.voxels.prepare([scene for split in SPLITS for scene in self.source.scenes(split)])
+            self.voxels.prepare([scene for split in self.splits for scene in source.scenes(split)])
 
     @cached_property
     def spec(self) -> SourceSpec:
@@ -244,13 +250,17 @@ class OccupancyData(LightningDataModule):
             )
 
     def setup(self, stage: str | None = None) -> None:
-        """Open the three splits; `prepare_data` has been called, here or in another process."""
+        """Open the splits; `prepare_data` has been called, here or in another process."""
         spec = self.spec
         own_rays, grid = spec.lidar_directions is None, spec.scored_grid(self.geometry)
-        for split in SPLITS:
+        for split in self.splits:
             scenes, needs = self.source.scenes(split), self.needs[split]
             made = WindowDataset(scenes, self.voxels, self.window, needs, own_rays, self.origins, scored_grid=grid)
             self._datasets.setdefault(split, made)
+
+    def restrict_to(self, split: Split) -> None:
+        """Make and open the scenes of one split alone, from the next `prepare_data` on."""
+        self.splits = (split,)
 
     def set_needs(self, train: Needs, test: Needs) -> None:
         """Set what samples hold from the next `setup` on: those of training, and those of validation and test."""

@@ -33,6 +33,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     Raises:
         UserError: when there are none with true voxels.
     """
+    data.restrict_to("val")
     data.prepare_data()
     scenes = data.source.scenes("val")
     if not scenes or data.voxels.read(scenes[0], 0) is None:
