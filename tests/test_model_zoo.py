@@ -33,8 +33,17 @@ def recipes(zoo, monkeypatch):
     found = {
         "whole": {"stage": "occupancy", "overrides": words(720, depth=5000, sketch=1500, occupancy=4000)},
         "first": {"stage": "depth", "overrides": words(480, depth=1600)},
-        "further": {"stage": "depth", "overrides": words(1440, depth=2400), "starts_from": "first"},
-        "joined": {"occupancy": "whole", "depth": "further"},
+        "further": {
+            "stage": "depth",
+            "overrides": [*words(1440, depth=2400), "stages.depth.weights=tools/weights/first.safetensors"],
+        },
+        "any": {
+            "stage": "occupancy",
+            "overrides": [
+                *words(960, depth=0, sketch=100, occupancy=300),
+                *("weights=whole", "stages.sketch.weights=whole", "stages.depth.weights=further.safetensors"),
+            ],
+        },
     }
     monkeypatch.setattr(zoo, "recipe_of", found.get)
     return found
@@ -44,10 +53,10 @@ def test_steps_of_what_weights_start_from_count_too(zoo, recipes):
     assert zoo.training_of(recipes["further"]) == ({"depth": 4000}, {"depth": 1440})
 
 
-def test_joined_weights_have_the_ranges_of_one_recipe_and_the_rest_of_another(zoo, recipes):
-    steps, scenes = zoo.training_of(recipes["joined"])
-    assert steps == {"depth": 4000, "sketch": 1500, "occupancy": 4000}
-    assert scenes == {"depth": 1440, "sketch": 720, "occupancy": 720}
+def test_what_is_used_as_it_is_has_the_scenes_of_its_own_training(zoo, recipes):
+    steps, scenes = zoo.training_of(recipes["any"])
+    assert steps == {"depth": 4000, "sketch": 1600, "occupancy": 4300}
+    assert scenes == {"depth": 1440, "sketch": 960, "occupancy": 960}
 
 
 def test_scores_are_those_on_unseen_scenes(zoo):

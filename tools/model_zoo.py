@@ -41,16 +41,17 @@ REPEATS = 5
 
 
 def training_of(recipe: dict[str, Any]) -> tuple[dict[str, int], dict[str, int]]:
-    """Return by stage the steps of a recipe, with those that it starts from, and the scenes of its last training."""
-    if "depth" in recipe:
-        steps, scenes = training_of(recipe_of(recipe["occupancy"]))
-        own_steps, own_scenes = training_of(recipe_of(recipe["depth"]))
-        return steps | own_steps, scenes | own_scenes
+    """Return by stage the steps of a recipe, with those of what it starts from, and the scenes of its last training."""
     values = dict(word.removeprefix("+").split("=", 1) for word in recipe["overrides"])
-    stages = [stage for stage in STAGES if recipe["stage"] in (stage, STAGES[-1])]
-    before = training_of(recipe_of(recipe["starts_from"]))[0] if "starts_from" in recipe else {}
-    steps = {stage: int(values[f"preset.stages.{stage}.max_steps"]) + before.get(stage, 0) for stage in stages}
-    return steps, dict.fromkeys(stages, int(values["data.source.train_scenes"]))
+    steps, scenes = {}, {}
+    for stage in STAGES:
+        if recipe["stage"] in (stage, STAGES[-1]):
+            start = values.get("weights" if stage == STAGES[-1] else f"stages.{stage}.weights")
+            before = training_of(recipe_of(Path(start).stem)) if start else ({}, {})
+            own = int(values[f"preset.stages.{stage}.max_steps"])
+            steps[stage] = own + before[0].get(stage, 0)
+            scenes[stage] = int(values["data.source.train_scenes"]) if own else before[1][stage]
+    return steps, scenes
 
 
 def scores_of(card: str) -> list[str]:

@@ -60,8 +60,9 @@ def rig_rows(metrics: Mapping[str, float]) -> list[str]:
 
 
 def depth_rows(metrics: Mapping[str, float]) -> list[str]:
-    """Return a table of mean absolute errors, m, by distance; nothing without these figures."""
-    keys = ["test/depth/mae", *(f"test/depth/mae_{band}" for band in BANDS), "test/depth/coverage"]
+    """Return a table of mean absolute errors, m, by distance, and of the confidence; nothing without these figures."""
+    keys = ["test/depth/mae", *(f"test/depth/mae_{band}" for band in BANDS)]
+    keys += ["test/depth/coverage", "test/depth/ece"]
     return _table([(_title(key), metrics[key]) for key in keys if key in metrics], 3)
 
 
@@ -82,6 +83,7 @@ def _title(key: str) -> str:
     """Return words for a key of metrics."""
     words = {"test/rayiou": "voxel RayIoU", "test/lidar/rayiou": "surface RayIoU", "test/voxel/iou": "voxel IoU"}
     words |= {"test/voxel/miou": "voxel mIoU", "test/depth/mae": "MAE, m", "test/depth/coverage": "with an answer"}
+    words["test/depth/ece"] = "calibration error of the confidence"
     for start, title in words.items():
         if key.startswith(start):
             rest = key.removeprefix(start)
