@@ -162,6 +162,8 @@ class Convolution(nn.Module):
     def fold(self) -> None:
         """Use weights and batch norm as they are, now and after other weights are loaded or converted."""
         norm, weight = self.norm, self.conv.weight
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
         constants = norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
         if self.kernel is None:
             self.register_load_state_dict_post_hook(Convolution._fold_again)
