@@ -34,7 +34,7 @@ def words(tmp_path):
 @pytest.fixture
 def costs(monkeypatch):
     """Seconds of a step of each stage and of a frame, and bytes of a frame, which change what is measured."""
-    found = {"sketch": 0.5, "occupancy": 1.0, "frame": (0.2, 1e5)}
+    found = {"depth": 0.25, "sketch": 0.5, "occupancy": 1.0, "frame": (0.2, 1e5)}
     monkeypatch.setattr(module, "step_seconds", lambda stage: found[stage.NAME])
     monkeypatch.setattr(module, "frame_cost", lambda alone, depth: found["frame"])
     return found
@@ -79,7 +79,9 @@ def test_the_plan_fills_the_time(rig, words, costs, capsys):
     frames = 3 * (plan.train_scenes + 24)
     used_s = 0.2 * frames + sum(costs[name] * steps for name, steps in plan.steps.items())
     assert 0.8 * 1800 < used_s < 0.86 * 1800  # the rest is for validation and tests
-    assert plan.steps["occupancy"] * 1.0 == pytest.approx(3 * plan.steps["sketch"] * 0.5, rel=0.05)
+    spent_s = {name: costs[name] * steps for name, steps in plan.steps.items()}
+    assert spent_s["depth"] / spent_s["occupancy"] == pytest.approx(0.3 / 0.55, rel=0.05)
+    assert spent_s["sketch"] / spent_s["occupancy"] == pytest.approx(0.15 / 0.55, rel=0.05)
     assert {steps % 10 for steps in plan.steps.values()} == {0}
     assert f"{frames * 1e5 / 1e6:.0f} MB" in capsys.readouterr().out
 
@@ -123,7 +125,7 @@ def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, c
     steps = trained[1]["occupancy"]["max_steps"]
     assert [stages["occupancy"]["max_steps"] for stages in trained] == [0, steps, 0, steps]
     assert steps > 0
-    assert {stages["depth"]["max_steps"] for stages in trained} == {0}
+    assert [stages["depth"]["max_steps"] > 0 for stages in trained] == [False, True] * 2
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("predict   python src/predict.py occupancy checkpoint=")
     assert lines[-1].endswith(f"rig='{rig}' images=my_images")
@@ -149,8 +151,17 @@ def test_recordings_start_from_the_same_weights():
         compose_config(CONF, "train", [f"+adapt={name}", *own[:count]])
         for name, count in (("any-rig-recorded", 2), ("any-rig", 0))
     )
-    for key in ("model", "depth", "stages", "weights", "name"):
+    for key in ("model", "depth", "weights", "name"):
         assert recorded[key] == rendered[key]
+    for key in ("sketch", "occupancy"):
+        assert recorded.stages[key] == rendered.stages[key]
+    assert recorded.stages.depth.max_steps == 0  # recordings may have no panoramas of ranges
+
+
+def test_all_time_goes_to_the_stages_that_train(rig, words, costs):
+    with_depth, without = (plan_of(rig, [*words, *more], 30).steps for more in ([], ["stages.depth.max_steps=0"]))
+    assert without.keys() == {"sketch", "occupancy"}
+    assert without["occupancy"] == pytest.approx(with_depth["occupancy"] / 0.7, rel=0.05)
 
 
 def test_a_plan_alone_writes_nothing(rig, words, costs, tmp_path, capsys):

@@ -33,13 +33,11 @@ def tool(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_recipe_is_a_configuration_that_trains(name, tool, tmp_path):
     recipe = tool.recipe_of(name)
-    if "depth" in recipe:  # put together from two others
-        assert all(tool.recipe_of(recipe[part])["stage"] == part for part in ("occupancy", "depth"))
-        return
     config = compose_plain(ROOT / "conf", "train", recipe["overrides"])
     check_root(OmegaConf.create(config))
     folder, checkpoint = tool.folder_of(recipe, tmp_path)
-    assert folder.name.startswith("weights_tiny-" if recipe["stage"] == "occupancy" else "depth-")
+    own = f"weights_{name.replace('-', '_')}-"
+    assert folder.name.startswith(own if recipe["stage"] == "occupancy" else "depth-")
     assert checkpoint == ("best.ckpt" if recipe["stage"] == "occupancy" else "last.ckpt")
     for key in recipe.get("shipped", {}):
         assert OmegaConf.select(OmegaConf.create(config), key) is not None
@@ -150,7 +148,7 @@ def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
 
 def test_recipes_hold_nothing_else():
     known = {"like", "stage", "half", "overrides", "shipped", "what", "use", "good_for", "not_good_for"}
-    known |= {"is_start", "starts_from", "more_overrides", "frames", "occupancy", "depth"}
+    known |= {"is_start", "starts_from", "more_overrides", "frames"}
     for name in NAMES:
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known
 
@@ -172,20 +170,3 @@ def test_each_shipped_file_gives_the_figures_of_its_card(name, tool):
     assert rows.keys() == dict(stated).keys()
     for title, value in stated:
         assert float(rows[title]) == pytest.approx(float(value), rel=2e-3, abs=2e-4), title
-
-
-def test_weights_put_together_have_the_ranges_of_one_file_and_the_rest_of_the_other(tool):
-    """The shipped any-rig is what its recipe makes of the two files."""
-    recipe, whole = tool.recipe_of("any-rig"), load_checkpoint("any-rig")
-    rest, depth = load_checkpoint(recipe["occupancy"]), load_checkpoint(tool.file_of(recipe["depth"], True))
-    inside = {name: value for name, value in whole.weights.items() if name.startswith("model.sketch.depth.")}
-    for name, value in depth.weights.items():
-        assert torch.equal(inside.pop(name.replace("model.", "model.sketch.depth.", 1)), value)
-    assert not inside
-    others = [name for name in rest.weights if not name.startswith("model.sketch.depth.")]
-    assert all(torch.equal(whole.weights[name], rest.weights[name]) for name in others)
-    assert whole.config.depth == depth.config.depth
-    assert whole.config.model.sketch.depth == depth.config.depth
-    assert whole.config.model.lifter == rest.config.model.lifter
-    for key, value in recipe["shipped"].items():
-        assert OmegaConf.select(whole.config, key) == value

@@ -27,9 +27,9 @@ from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.predict.trained import Trained
 from omniocc.report.card import card
-from omniocc.runs.checkpoint import MODEL, PREFIXES, Checkpoint, load_checkpoint, part_weights
+from omniocc.runs.checkpoint import Checkpoint, load_checkpoint
 from omniocc.runs.checkpoint_io import BEST, LAST
-from omniocc.runs.folder import git_commit, run_folder
+from omniocc.runs.folder import run_folder
 from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
 from omniocc.runs.scenes import scene_figures
 from omniocc.runs.script import quiet_libraries
@@ -127,31 +127,6 @@ def range_errors(weights: Path, scenes: list[SceneFrames]) -> dict[str, float]:
     return {f"test/depth/{key}": float(value) for key, value in errors.compute().items()}
 
 
-def with_depth(occupancy: Checkpoint, depth: Checkpoint) -> Checkpoint:
-    """Return an occupancy checkpoint whose depth network is that of another one; the rest stays as it is."""
-    prefix = f"{MODEL}{PREFIXES['depth']['occupancy']}"
-    rest = {key: value for key, value in occupancy.weights.items() if not key.startswith(prefix)}
-    network = {f"{prefix}{key}": value for key, value in part_weights(depth, "depth").items()}
-    config = OmegaConf.merge(occupancy.config, {})
-    for place in ("depth", "model.sketch.depth"):
-        OmegaConf.update(config, place, depth.config.depth, merge=False)
-    return occupancy._replace(config=cast(DictConfig, config), weights=rest | network)
-
-
-def pack_combined(name: str, recipe: dict[str, Any]) -> Path:
-    """Write a file of weights of parts of two others, score it on the test scenes of its data, and return the file."""
-    parts = {
-        key: file_of(recipe[key], is_start=not file_of(recipe[key], False).is_file()) for key in ("occupancy", "depth")
-    }
-    made = {part: f"{file.stem}, {digest_of(read_weights(file)[0]['state_dict'])[:12]}" for part, file in parts.items()}
-    made = {"command": f"make weights NAME={name}", **made, "commit": git_commit()}
-    path = write(name, recipe, with_depth(*(load_checkpoint(file) for file in parts.values())), made)
-    source = cast(VirtualWorld, load(path).data.source)
-    source.made("test", list(source.planned("test")))
-    write_card(name, recipe, path, made | {"data": source.fingerprint[:12]}, figures_of(path, source.folder))
-    return path
-
-
 def write(name: str, recipe: dict[str, Any], trained: Checkpoint, made: dict[str, Any]) -> Path:
     """Write a file of weights with the changes of its recipe and facts about it, and return the file."""
     for key, value in recipe.get("shipped", {}).items():
@@ -190,9 +165,6 @@ def main(names: list[str]) -> None:
         path.stem for path in RECIPES.glob("*.yaml") if not recipe_of(path.stem).get("is_start")
     ):
         recipe = recipe_of(name)
-        if "depth" in recipe:
-            print(pack_combined(name, recipe))
-            continue
         if "starts_from" in recipe and not file_of(recipe["starts_from"], True).is_file():
             main([recipe["starts_from"]])
         command = train(recipe)
