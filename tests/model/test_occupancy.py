@@ -8,7 +8,7 @@ from omniocc.camera.pinholes import as_pinholes
 from omniocc.errors import UserError
 from omniocc.extras.rivals import BiGrid, ChannelToHeight, CoarseToFine, Experts, Focus, SplatColoring
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model import OccupancyModel
+from omniocc.model import OccupancyModel, decide
 from omniocc.model.backbone import Backbone, EfficientNetLite0
 from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
@@ -325,3 +325,17 @@ def test_without_counts_free_is_as_likely_as_all_others_together():
     probabilities = Classifier(GRID, 3, CLASSES).start().exp().detach()
     expected = torch.tensor([0.5, *[0.5 / (CLASSES - 1)] * (CLASSES - 1)])
     torch.testing.assert_close(probabilities[0, 0, 0, 0], expected)
+
+
+def test_labels_and_probabilities_of_a_cell():
+    share = torch.tensor([0.5, 0.1, 0.4, 0.6, 0.3, 0.1, 0.2, 0.7, 0.1]).reshape(3, 3).T  # a column for each cell
+    logits = share.log()[:, :, None, None] + 7
+    labels, probability = decide(logits, None)
+    assert labels.flatten().tolist() == [0, 0, 1]
+    assert probability[0].flatten().tolist() == pytest.approx([0.5, 0.4, 0.8], abs=1e-3)
+    assert probability[1].flatten().tolist() == pytest.approx([0.8, 0.75, 0.875], abs=1e-3)
+    assert decide(logits, 0.45)[0].flatten().tolist() == [2, 0, 1]
+    assert decide(logits, 0.3)[0].flatten().tolist() == [2, 1, 1]
+    both = torch.stack([logits, logits.flip(1)])
+    assert torch.equal(decide(both, 0.3)[0][1], decide(logits.flip(1), 0.3)[0])
+    assert decide(both, 0.3)[1].shape == (2, 2, 3, 1, 1)

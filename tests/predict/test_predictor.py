@@ -3,27 +3,15 @@
 import math
 
 import numpy as np
-import pytest
 import torch
 
 from omniocc.camera import Rig
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.pose import pose_from_angles
 from omniocc.geometry import Cuboid
-from omniocc.predict.predictor import decide, seen_cells
+from omniocc.predict.predictor import seen_cells
 
 GRID = Cuboid((8, 8, 2), (-8.0, 8.0), (-8.0, 8.0), (-2.0, 2.0))
-
-
-def test_labels_and_probabilities_of_a_cell():
-    share = torch.tensor([0.5, 0.1, 0.4, 0.6, 0.3, 0.1, 0.2, 0.7, 0.1]).reshape(3, 3).T  # a column for each cell
-    logits = share.log()[:, :, None, None] + 7
-    labels, probability = decide(logits, None)
-    assert labels.flatten().tolist() == [0, 0, 1]
-    assert probability[0].flatten().tolist() == pytest.approx([0.5, 0.4, 0.8], abs=1e-3)
-    assert probability[1].flatten().tolist() == pytest.approx([0.8, 0.75, 0.875], abs=1e-3)
-    assert decide(logits, 0.45)[0].flatten().tolist() == [2, 0, 1]
-    assert decide(logits, 0.3)[0].flatten().tolist() == [2, 1, 1]
 
 
 def ahead_of(position_m: tuple[float, float, float], yaw_deg: float) -> Rig:

@@ -10,10 +10,9 @@ from torch.export import ExportedProgram
 
 from omniocc.camera import Rig
 from omniocc.errors import UserError, first_line
-from omniocc.model import OccupancyModel
+from omniocc.model import OccupancyModel, decide
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.protocols import LearnedSketch, learns
-from omniocc.predict.predictor import decide
 
 SLOTS = ("backbone", "sketch", "lifter", "hints", "temporal", "refiner")
 
@@ -24,7 +23,7 @@ class Program(nn.Module):
     Args:
         model: in evaluation mode.
         rig: its cameras at the size of the images.
-        occupied_above: see `omniocc.predict.predictor.decide`.
+        occupied_above: see `omniocc.model.decide`.
     """
 
     def __init__(self, model: OccupancyModel, rig: Rig, occupied_above: float | None = None):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float16, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -310,6 +310,22 @@ class OccupancyModel(nn.Module):
             part if len(part) == len(like) else torch.zeros_like(like).index_copy(0, sample, part)
             for part, sample in parts
         ]
+
+
+def decide(
+    logits: Float[Tensor, "*B C X Y Z"], occupied_above: float | None
+) -> tuple[UInt8[Tensor, "*B X Y Z"], Float16[Tensor, "*B 2 X Y Z"]]:
+    """Return the labels of logits, and two probabilities: that a cell is occupied, and of its class if it is.
+
+    A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class other than
+    free if it is occupied with a higher probability than this, else it is free.
+    """
+    probability = logits.float().softmax(-4)
+    free, classes = probability.split([1, probability.shape[-4] - 1], -4)
+    most_likely, label = classes.max(-4)
+    occupied = 1 - free.squeeze(-4)
+    chosen = logits.argmax(-4) if occupied_above is None else (label + 1).where(occupied > occupied_above, 0)
+    return chosen.to(torch.uint8), torch.stack([occupied, most_likely / occupied.clamp(min=1e-6)], -4).half()
 
 
 def check_volume(volume: Tensor, part: object, channels: int, geometry: Grid) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float16, Float32, Float64, UInt8
+from jaxtyping import Bool, Float16, Float32, Float64, UInt8
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
@@ -15,7 +15,7 @@ from omniocc.camera.pose import invert_pose
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.model import OccupancyModel, Stream
+from omniocc.model import OccupancyModel, Stream, decide
 from omniocc.model.depth import DepthMap
 from omniocc.model.ops.static import static_on_gpu
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
@@ -71,21 +71,6 @@ class Input(NamedTuple):
     original: Images = ()
 
 
-def decide(
-    logits: Float[Tensor, "C X Y Z"], occupied_above: float | None
-) -> tuple[UInt8[Tensor, "X Y Z"], Float16[Tensor, "2 X Y Z"]]:
-    """Return the labels of logits, and the probabilities of `PredictedFrame`.
-
-    A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class other than
-    free if it is occupied with a higher probability than this, else it is free.
-    """
-    probability = logits.float().softmax(0)
-    most_likely, label = probability[1:].max(0)
-    occupied = 1 - probability[0]
-    chosen = logits.argmax(0) if occupied_above is None else (label + 1).where(occupied > occupied_above, 0)
-    return chosen.to(torch.uint8), torch.stack([occupied, most_likely / occupied.clamp(min=1e-6)]).half()
-
-
 def seen_cells(
     grid: Grid, views: Iterable[tuple[Rig, Float64[Tensor, "4 4"]]], world_from_ego: Float64[Tensor, "4 4"]
 ) -> Bool[Tensor, "X Y Z"]:
@@ -126,7 +111,7 @@ class Predictor:
         image_width: approximate width that images are scaled to, px; None: the rig's.
         excluded: names of the cameras to leave out.
         device: to compute on.
-        occupied_above: see `decide`.
+        occupied_above: see `omniocc.model.decide`.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
 from omniocc.errors import UserError
 from omniocc.loss import TotalLoss
-from omniocc.model import OccupancyModel, Prediction, Stream
+from omniocc.model import OccupancyModel, Prediction, Stream, decide
 from omniocc.model.protocols import Sketched
 from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
@@ -65,6 +65,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.loss = loss
         self.augment = augment
         self.ema_decay = ema_decay
+        self.occupied_above: float | None = None
+        """Probability above which weights call a cell occupied in validation and test; None: the most likely class."""
         self.stream = Stream(model)
         self.scores = Scores(model.geometry, spec)
         self.prior_scores = Scores(model.geometry, spec)
@@ -104,7 +106,9 @@ class OccupancyTask(StageTask[OccupancyModel]):
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
-        return self.stream.windows(*model_inputs(batch), exists, batch.frame_ids).argmax(1).to(torch.uint8)
+        logits = self.stream.windows(*model_inputs(batch), exists, batch.frame_ids)
+        above = self.occupied_above
+        return logits.argmax(1).to(torch.uint8) if above is None else decide(logits, above)[0]
 
     def configure_callbacks(self) -> list[Callback]:
         """Return the callback for the moving average of the weights, if there is one."""
