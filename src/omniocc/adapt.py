@@ -102,8 +102,9 @@ def adapt(rig: str | None, road_z_m: float | None, minutes: float, words: Sequen
         if cfg.plan:
             return
         atomic_write(file, json.dumps(plan._asdict()))
-    untrained = dict.fromkeys(plan.steps, 0)
-    before, after = (trained([*base, *each.overrides]) for each in (plan._replace(steps=untrained), plan))
+    # few training scenes, since the untrained network would predict the ranges of all; it counts the classes in them
+    untrained = Plan(plan.train_scenes and SCENES[0], dict.fromkeys(plan.steps, 0))
+    before, after = (trained([*base, *each.overrides]) for each in (untrained, plan))
     figures = load_results(after)[1]
     table = comparison_cells(
         {
