@@ -143,7 +143,7 @@ def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, comma
     made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
     made |= {key: facts[key] for key in ("seed", EARLIER_MINUTES, MINUTES) if key in facts}
     path = write(name, recipe, load_checkpoint(folder / checkpoint), made)
-    if "occupied_above" in recipe.get("shipped", {}):  # other labels than those of the run's test
+    if "occupied_above" in recipe.get("shipped", {}):  # the run's test takes the most likely class of every cell
         folder = folder / "shipped"
         evaluate = [sys.executable, "src/evaluate.py", str(path), "--output", str(folder)]
         subprocess.run(evaluate, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)

@@ -41,7 +41,7 @@ FEWEST_MINUTES = 3.0
 TEST_SHARE, FRAMES_SHARE = 0.15, 0.25
 """Of all time: about this for validation and tests, and at most this for making training frames and their ranges."""
 SHARES = {"depth": 0.3, "sketch": 0.15, "occupancy": 0.55}
-"""Of the time that is left for training, in proportion, where all three stages train."""
+"""Fractions of the time that is left for training, by stage; the time of one that does not train is shared."""
 SCENES = 16, 480
 """Fewest and most training streets."""
 STEP = 10
@@ -167,7 +167,7 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
     parts = Parts(cfg)
     begin_s = time.monotonic()
     stages = {stage.NAME: stage for stage in stages_of(parts, parts.data())}
-    steps_s = {name: step_seconds(stages[name]) for name in SHARES if cfg.stages[name].max_steps}
+    steps_s = {name: step_seconds(stages[name]) for name in SHARES if stages[name].recipe.max_steps}
     alone = parts.source(workers=0)
     frame_s, frame_bytes = frame_cost(alone, stages["depth"])
     left_s = (1 - TEST_SHARE) * seconds - (time.monotonic() - begin_s)

@@ -8,7 +8,7 @@ from omniocc.camera.pinholes import as_pinholes
 from omniocc.errors import UserError
 from omniocc.extras.rivals import BiGrid, ChannelToHeight, CoarseToFine, Experts, Focus, SplatColoring
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model import OccupancyModel, decide
+from omniocc.model import OccupancyModel, labels_of, probabilities_of
 from omniocc.model.backbone import Backbone, EfficientNetLite0
 from omniocc.model.hints import SketchAndPixels
 from omniocc.model.lifter import (
@@ -328,14 +328,15 @@ def test_without_counts_free_is_as_likely_as_all_others_together():
 
 
 def test_labels_and_probabilities_of_a_cell():
-    share = torch.tensor([0.5, 0.1, 0.4, 0.6, 0.3, 0.1, 0.2, 0.7, 0.1]).reshape(3, 3).T  # a column for each cell
-    logits = share.log()[:, :, None, None] + 7
-    labels, probability = decide(logits, None)
+    # three cells, each with the probabilities of free and of two classes
+    probability = torch.tensor([[0.5, 0.1, 0.4], [0.6, 0.3, 0.1], [0.2, 0.7, 0.1]])
+    logits = probability.T.log()[:, :, None, None] + 7  # a constant changes no probability
+    labels, found = labels_of(logits, None), probabilities_of(logits)
     assert labels.flatten().tolist() == [0, 0, 1]
-    assert probability[0].flatten().tolist() == pytest.approx([0.5, 0.4, 0.8], abs=1e-3)
-    assert probability[1].flatten().tolist() == pytest.approx([0.8, 0.75, 0.875], abs=1e-3)
-    assert decide(logits, 0.45)[0].flatten().tolist() == [2, 0, 1]
-    assert decide(logits, 0.3)[0].flatten().tolist() == [2, 1, 1]
+    assert found[0].flatten().tolist() == pytest.approx([0.5, 0.4, 0.8], abs=1e-3)
+    assert found[1].flatten().tolist() == pytest.approx([0.8, 0.75, 0.875], abs=1e-3)
+    assert labels_of(logits, 0.45).flatten().tolist() == [2, 0, 1]
+    assert labels_of(logits, 0.3).flatten().tolist() == [2, 1, 1]
     both = torch.stack([logits, logits.flip(1)])
-    assert torch.equal(decide(both, 0.3)[0][1], decide(logits.flip(1), 0.3)[0])
-    assert decide(both, 0.3)[1].shape == (2, 2, 3, 1, 1)
+    assert torch.equal(labels_of(both, 0.3)[1], labels_of(logits.flip(1), 0.3))
+    assert probabilities_of(both).shape == (2, 2, 3, 1, 1)

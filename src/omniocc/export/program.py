@@ -10,7 +10,7 @@ from torch.export import ExportedProgram
 
 from omniocc.camera import Rig
 from omniocc.errors import UserError, first_line
-from omniocc.model import OccupancyModel, decide
+from omniocc.model import OccupancyModel, labels_of
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.protocols import LearnedSketch, learns
 
@@ -23,7 +23,7 @@ class Program(nn.Module):
     Args:
         model: in evaluation mode.
         rig: its cameras at the size of the images.
-        occupied_above: see `omniocc.model.decide`.
+        occupied_above: see `omniocc.model.labels_of`.
     """
 
     def __init__(self, model: OccupancyModel, rig: Rig, occupied_above: float | None = None):
@@ -41,7 +41,7 @@ class FrameProgram(Program):
         lifted = self.model.lift(images[None], (self.rig,))
         known = self.model.compute_hints(lifted, (self.rig,))
         logits, _ = self.model.fuse([lifted.volume], pose, there, lifted.sketched, known)
-        return decide(logits[0], self.occupied_above)[0]
+        return labels_of(logits[0], self.occupied_above)
 
 
 class Step(Program):
@@ -69,7 +69,7 @@ class Step(Program):
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
         volumes = [*past_volumes.split(1), lifted.volume]
         logits, _ = self.model.fuse(volumes, world_from_ego[None], exists, lifted.sketched, known)
-        return decide(logits[0], self.occupied_above)[0], lifted.volume[0]
+        return labels_of(logits[0], self.occupied_above), lifted.volume[0]
 
 
 def make_module(model: OccupancyModel, rig: Rig, occupied_above: float | None = None) -> FrameProgram | Step:

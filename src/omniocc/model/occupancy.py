@@ -312,20 +312,31 @@ class OccupancyModel(nn.Module):
         ]
 
 
-def decide(
-    logits: Float[Tensor, "*B C X Y Z"], occupied_above: float | None
-) -> tuple[UInt8[Tensor, "*B X Y Z"], Float16[Tensor, "*B 2 X Y Z"]]:
-    """Return the labels of logits, and two probabilities: that a cell is occupied, and of its class if it is.
+def labels_of(logits: Float[Tensor, "*B C X Y Z"], occupied_above: float | None) -> UInt8[Tensor, "*B X Y Z"]:
+    """Return the class of every cell.
 
     A cell has its most likely class, free (0) included; with `occupied_above` it has its most likely class other than
     free if it is occupied with a higher probability than this, else it is free.
     """
+    if occupied_above is None:
+        return logits.argmax(-4).to(torch.uint8)
+    free, classes = split_free(logits)
+    return (classes.argmax(-4) + 1).where(1 - free > occupied_above, 0).to(torch.uint8)
+
+
+def probabilities_of(logits: Float[Tensor, "*B C X Y Z"]) -> Float16[Tensor, "*B 2 X Y Z"]:
+    """Return the probability that a cell is occupied, and that of its most likely class if it is."""
+    free, classes = split_free(logits)
+    occupied = 1 - free
+    return torch.stack([occupied, classes.amax(-4) / occupied.clamp(min=1e-6)], -4).half()
+
+
+def split_free(
+    logits: Float[Tensor, "*B C X Y Z"],
+) -> tuple[Float[Tensor, "*B X Y Z"], Float[Tensor, "*B classes X Y Z"]]:
+    """Return the probabilities of free and of the other classes."""
     probability = logits.float().softmax(-4)
-    free, classes = probability.split([1, probability.shape[-4] - 1], -4)
-    most_likely, label = classes.max(-4)
-    occupied = 1 - free.squeeze(-4)
-    chosen = logits.argmax(-4) if occupied_above is None else (label + 1).where(occupied > occupied_above, 0)
-    return chosen.to(torch.uint8), torch.stack([occupied, most_likely / occupied.clamp(min=1e-6)], -4).half()
+    return probability.select(-4, FREE), probability.narrow(-4, 1, probability.shape[-4] - 1)
 
 
 def check_volume(volume: Tensor, part: object, channels: int, geometry: Grid) -> None:

@@ -15,7 +15,7 @@ from omniocc.camera.pose import invert_pose
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.model import OccupancyModel, Stream, decide
+from omniocc.model import OccupancyModel, Stream, labels_of, probabilities_of
 from omniocc.model.depth import DepthMap
 from omniocc.model.ops.static import static_on_gpu
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
@@ -111,7 +111,7 @@ class Predictor:
         image_width: approximate width that images are scaled to, px; None: the rig's.
         excluded: names of the cameras to leave out.
         device: to compute on.
-        occupied_above: see `omniocc.model.decide`.
+        occupied_above: see `omniocc.model.labels_of`.
     """
 
     def __init__(
@@ -198,10 +198,11 @@ class Predictor:
                 with watch("occupancy"):
                     unmasked = mask_cameras(given.rig, self.excluded)
                     self._views.append((unmasked, pose))
-                    decided = decide(self.stream.step(images[0], unmasked, pose, sketched), self.occupied_above)
+                    logits = self.stream.step(images[0], unmasked, pose, sketched)
+                    found = labels_of(logits, self.occupied_above), probabilities_of(logits)
                     range_m = None if depth is None else depth.known_range_m()[0]
                     seen = seen_cells(self.model.geometry, self._views, pose)  # while a GPU still computes the rest
-                    labels, probability = (part.cpu() for part in decided)
+                    labels, probability = (part.cpu() for part in found)
         except ValueError as error:
             raise UserError(str(error)) from error
         if not bool(probability.isfinite().all()):

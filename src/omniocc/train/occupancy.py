@@ -14,7 +14,7 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
 from omniocc.errors import UserError
 from omniocc.loss import TotalLoss
-from omniocc.model import OccupancyModel, Prediction, Stream, decide
+from omniocc.model import OccupancyModel, Prediction, Stream, labels_of
 from omniocc.model.protocols import Sketched
 from omniocc.runs.scenes import Counted
 from omniocc.train.adamw import AdamW, factor_of
@@ -107,8 +107,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
         logits = self.stream.windows(*model_inputs(batch), exists, batch.frame_ids)
-        above = self.occupied_above
-        return logits.argmax(1).to(torch.uint8) if above is None else decide(logits, above)[0]
+        return labels_of(logits, self.occupied_above)
 
     def configure_callbacks(self) -> list[Callback]:
         """Return the callback for the moving average of the weights, if there is one."""

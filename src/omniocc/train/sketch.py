@@ -20,7 +20,7 @@ class SketchTask(StageTask[nn.Module]):
     Args:
         model: learned sketch; its depth option is not run, since batches hold the panoramas.
         range_edges_m: ends of the distance bands in which figures are given.
-        seed: of the choice of these samples.
+        seed: of the choice of rays.
         loss: of the occupancy stage, whose terms of measured rays train the sketch too; None: voxels alone.
     """
 
