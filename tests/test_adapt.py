@@ -113,25 +113,42 @@ def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, c
 
     def results(folder):
         assert folder.name.startswith("adapted-")
-        adapted = trained[-1]["occupancy"]["max_steps"] > 0
-        return {}, {f"{row}/{key}": 0.4 if adapted else 0.2 for row in ("test", "prior", "label") for key in SCORES}
+        return {}, {f"{row}/{key}": 0.4 for row in ("test", "prior", "label") for key in SCORES}
 
     monkeypatch.setattr(module, "train", train)
     monkeypatch.setattr(module, "load_results", results)
+    monkeypatch.setattr(module, "as_they_are", lambda cfg, folder: {f"test/{key}": 0.2 for key in SCORES})
     (tmp_path / "runs").mkdir()
     for _ in range(2):
         adapt(rig, None, 30, words)
         costs["occupancy"] *= 2  # another machine, or a busy one
-    steps = trained[1]["occupancy"]["max_steps"]
-    assert [stages["occupancy"]["max_steps"] for stages in trained] == [0, steps, 0, steps]
+    steps = trained[0]["occupancy"]["max_steps"]
+    assert [stages["occupancy"]["max_steps"] for stages in trained] == [steps, steps]
     assert steps > 0
-    assert [stages["depth"]["max_steps"] > 0 for stages in trained] == [False, True] * 2
+    assert trained[0]["depth"]["max_steps"] > 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("predict   python src/predict.py occupancy checkpoint=")
     assert lines[-1].endswith(f"rig='{rig}' images=my_images")
     assert len(list((tmp_path / "runs").glob("adapt-*/plan.json"))) == 1
     (page,) = (tmp_path / "runs").glob("adapted-*/adapted.md")
-    assert "adapted, 30 min" in page.read_text()
+    rows = [line.split("|")[1].strip() for line in page.read_text().splitlines()[2:6]]
+    shipped, adapted = "weights 'any-rig' as they are", "adapted, 30 min"
+    assert rows == ["baseline (no image)", shipped, adapted, "upper bound (true voxels)"]
+
+
+def test_weights_as_they_are_are_scored_on_the_streets_seen_by_ones_own_rig(rig, words, tmp_path, monkeypatch):
+    small = ["data.source.themes=[campus]", "data.source.frames_per_scene=1", "data.source.test_scenes=1"]
+    small += ["data.ray_azimuths=24", "data.num_workers=0", "data.source.workers=0"]
+    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words, *small])
+    check_root(cfg)
+    found = module.as_they_are(cfg, tmp_path / "shipped")
+    folders = {path.name for path in Parts(cfg).source().folder.iterdir()}
+    assert "test-000-campus" in folders
+    assert not any(name.startswith(("train", "val")) for name in folders)
+    assert found["prior/rayiou"] < found["test/rayiou"] < found["label/rayiou"] == 1
+    monkeypatch.setattr(module, "score_checkpoint", None)  # once is enough
+    assert module.as_they_are(cfg, tmp_path / "shipped") == pytest.approx(found, nan_ok=True)
+    assert module.as_they_are(compose_config(CONF, "train", ["data.num_classes=5"]), tmp_path / "others") is None
 
 
 @pytest.mark.parametrize(("road_z_m", "fits"), [(-2.2, True), (-2.05, True), (None, True), (-1.6, False)])

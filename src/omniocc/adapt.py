@@ -9,22 +9,25 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import CONF, compose_config, quoted
+from omniocc.config import CONF, compose_config, plain, quoted
 from omniocc.data.dataset import read_images
 from omniocc.data.source import MadeScenes, SceneSource
 from omniocc.data.source.cameras import first_rig, frames_in, training_frames
 from omniocc.errors import UserError
+from omniocc.evaluate import Evaluation, score_checkpoint
 from omniocc.io import atomic_write
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
 from omniocc.predict.input.sequence import with_road
 from omniocc.predict.options import load_rig
+from omniocc.predict.trained import PLACE_ARGUMENTS, Trained
 from omniocc.progress import clock
+from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST
 from omniocc.runs.folder import run_folder, short_hash
-from omniocc.runs.results import IMAGES, load_results
+from omniocc.runs.results import EVALUATION, IMAGES, METRICS, load_results
 from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
 from omniocc.train.command import step_seconds, train
 from omniocc.train.depth import DepthTask
@@ -102,23 +105,40 @@ def adapt(rig: str | None, road_z_m: float | None, minutes: float, words: Sequen
         if cfg.plan:
             return
         atomic_write(file, json.dumps(plan._asdict()))
-    # few training scenes, since the untrained network would predict the ranges of all; it counts the classes in them
-    untrained = Plan(plan.train_scenes and SCENES[0], dict.fromkeys(plan.steps, 0))
-    before, after = (trained([*base, *each.overrides]) for each in (untrained, plan))
+    shipped = as_they_are(cfg, file.parent / f"{EVALUATION}{START}")
+    after = trained([*base, *plan.overrides])
     figures = load_results(after)[1]
-    table = comparison_cells(
-        {
-            BASELINE: (figures, "prior"),
-            f"weights '{START}' as they are": (load_results(before)[1], "test"),
-            f"adapted, {minutes:g} min": (figures, "test"),
-            BOUND: (figures, "label"),
-        }
-    )
+    rows = {
+        BASELINE: (figures, "prior"),
+        f"weights '{START}' as they are": (shipped, "test"),
+        f"adapted, {minutes:g} min": (figures, "test"),
+        BOUND: (figures, "label"),
+    }
+    table = comparison_cells({row: (found, prefix) for row, (found, prefix) in rows.items() if found is not None})
     atomic_write(after / "adapted.md", markdown(*table))
     print("\n" + in_columns(*table))
     print(f"images    {after / IMAGES}")
     what = "recorded=my_scenes" if rig is None else f"rig={shlex.quote(rig)} images=my_images"
     print(f"predict   python src/predict.py occupancy checkpoint={after / BEST} {what}")
+
+
+def as_they_are(cfg: DictConfig, folder: Path) -> dict[str, float] | None:
+    """Return the scores of the weights on the test scenes of other data, on their own grid; computed once for a folder.
+
+    None where the data has other classes than the weights.
+    """
+    content = load_checkpoint(START)
+    if cfg.data.num_classes != content.config.data.num_classes:
+        return None
+    if not (folder / METRICS).is_file():
+        print(f"weights   '{START}' as they are", flush=True)
+        own = content.config.data
+        changed = {"data": {**plain(cfg)["data"], "geometry": own.geometry, "window": own.window}}
+        config = OmegaConf.create({**content.config, **changed})
+        given = tuple(f"data.source.{key}" for key in PLACE_ARGUMENTS)
+        options = Evaluation([content.path], [], None, None)
+        score_checkpoint(Trained(content, config, given, tuple(cfg.packages)), folder, options)
+    return load_results(folder)[1]
 
 
 def with_road_in_file(rig: str, road_z_m: float, runs: Path) -> str:
