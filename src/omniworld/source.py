@@ -255,22 +255,6 @@ class VirtualWorld:
         """Return the numbers of frames of the scenes of a split, by name, in order."""
         return {plan.name: self.frames_per_scene for plan in self.plans if plan.split == split}
 
-    def made_before(self, fingerprint: str) -> list[SceneReader]:
-        """Return the scenes of all splits that had this fingerprint, even made by other code; none if they are gone.
-
-        A folder counts if the recipe that its scenes recorded, with these plans, has the fingerprint.
-        """
-        if isinstance(self.place, str):
-            return []
-        plans = [list(plan) for plan in self.plans]
-        for folder in sorted(Path(self.root).glob("virtual-*")):
-            scenes = [SceneReader(folder / plan.name) for plan in self.plans]
-            if scenes and all((folder / plan.name).is_dir() for plan in self.plans):
-                recipe = scenes[0].meta["facts"]["recipe"]
-                if digest({"recipe": recipe, "plans": plans}) == fingerprint:
-                    return scenes
-        return []
-
     def made(self, split: Split, names: Sequence[str]) -> list[SceneReader]:
         """Return some scenes of a split, after those that are missing have been rendered."""
         plans = {plan.name: plan for plan in self.plans if plan.split == split}

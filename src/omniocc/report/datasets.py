@@ -3,25 +3,20 @@
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, cast
-
-from omegaconf import OmegaConf
+from typing import Any, NamedTuple
 
 from omniocc.camera import Pinhole, Rig
-from omniocc.config import OWN_PACKAGE, check
-from omniocc.data.source import SPLITS, MadeScenes
+from omniocc.data.source import SPLITS
 from omniocc.data.store.files import list_folders
 from omniocc.data.store.meta import DRAWN_RIG
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
-from omniocc.parts import Parts
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.formats import Part, csv_text, tabular
 from omniocc.report.tables.paper import NUMERALS
 from omniocc.runs.renamed import read_mapping
 from omniocc.runs.table import Cells
-from omniocc.runs.trust import not_offered
 
 MADE = {"rig", "frames_per_scene", *(f"{split}_scenes" for split in SPLITS)}
 """Arguments of sources whose scenes are made."""
@@ -82,7 +77,7 @@ def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTab
     It has the frames of the first run, and the cameras of all runs. In the virtual world every pixel has class and
     range, and points from which any grid is filled.
     """
-    sources = [run.config.get("data", {}).get("source") or {} for run in runs]
+    sources = [_source(run) for run in runs]
     made = [source for source in sources if all(source.get(key) is not None for key in MADE)]
     if not made or made[0] is not sources[0]:
         return table
@@ -124,28 +119,20 @@ def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) 
     return ("This dataset", pinhole, fisheye, voxels, voxels, dense, sum(map(len, scenes)))
 
 
-def scenes_of(run: FinishedRun) -> Sequence[SceneReader]:
-    """Return all scenes that a run was trained, validated and tested on; none if exactly this data is missing."""
-    own = {"data": {"source": run.config.get("data", {}).get("source")}}
-    if own["data"]["source"] is None or next(not_offered(own, OWN_PACKAGE), None) is not None:
-        return []
-    try:
-        check(config := OmegaConf.create(own), packages=OWN_PACKAGE)
-        source = Parts(config).source()
-    except UserError:  # of another version
-        return []
-    found = source.made_before(str(run.facts.get("data"))) if isinstance(source, MadeScenes) else []
-    return cast(Sequence[SceneReader], found)
+def facts_of_scenes(run: FinishedRun) -> str:
+    """Return a sentence on how many scenes and frames each split of a run's data has; empty where they are recorded."""
+    source = _source(run)
+    if any(source.get(key) is None for key in (*MADE, "themes")):
+        return ""
+    frames = source["frames_per_scene"]
+    parts = [
+        f"{(scenes := source[f'{split}_scenes'])} scenes ({scenes * frames:,} frames) for {split}" for split in SPLITS
+    ]
+    return f"{', '.join(parts)}; {len(source['themes'])} kinds of places."
 
 
-def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
-    """Return a sentence on how many scenes and frames each split has."""
-    parts = []
-    for split in SPLITS:
-        frames = [len(scene) for scene in scenes if scene.meta["facts"]["split"] == split]
-        parts.append(f"{len(frames)} scenes ({sum(frames):,} frames) for {split}")
-    places = len({scene.meta["facts"]["theme"] for scene in scenes})
-    return f"{', '.join(parts)}; {places} kinds of places."
+def _source(run: FinishedRun) -> Mapping[str, Any]:
+    return run.config.get("data", {}).get("source") or {}
 
 
 def dataset_cells(table: DatasetTable) -> Cells:

@@ -20,7 +20,6 @@ from omniocc.report.datasets import (
     facts_of_scenes,
     is_dataset_table,
     load_dataset_table,
-    scenes_of,
     with_records,
 )
 from omniocc.report.runs import HASH, FinishedRun, read_runs
@@ -157,7 +156,7 @@ class Sweep(NamedTuple):
         runs: comparable runs, by falling RayIoU.
         rows: runs of each row, in the order of the tables, then those of rows that are in no table.
         remark: on common settings of the runs, and on runs that are left out.
-        data: scenes and frames of the dataset; empty if it is not on this machine.
+        data: scenes and frames of the dataset; empty if it is recorded.
         tables: tables of methods.
         datasets: tables of datasets.
         unfinished: runs that have begun and not finished, with the last step recorded.
@@ -233,13 +232,12 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting, first)
-        rows, scenes = by_row(kept), scenes_of(kept[0])
+        rows = by_row(kept)
         datasets = [with_records(table, [*kept, *finished]) for table in of_datasets]
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
-        data = facts_of_scenes(scenes) if scenes else ""
         own = [test for test in tests if test.system in {run.name for run in kept}]
         ordered = {row: rows[row] for row in order}
-        return Sweep(kept, ordered, remark, data, found, datasets, unfinished=begun, robustness=own)
+        return Sweep(kept, ordered, remark, facts_of_scenes(kept[0]), found, datasets, unfinished=begun, robustness=own)
 
     seed_stds = load_seed_stds(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]

@@ -177,7 +177,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
         "Rows, runs": f"{len(sweep.rows)}, {len(sweep.runs)}",
         "Seeds": ", ".join(sorted({str(run.facts.get("seed", "?")) for run in sweep.runs})),
         "Training, occupancy stage": f"{minutes / 60:.1f} h in all",
-        "Data": sweep.data or "not on this machine",
+        "Data": sweep.data or "recorded scenes",
     }
 
 

@@ -12,7 +12,6 @@ from omniocc.report.datasets import (
     facts_of_scenes,
     is_dataset_table,
     load_dataset_table,
-    scenes_of,
     with_records,
 )
 from omniocc.report.runs import read_runs
@@ -41,17 +40,13 @@ def test_our_row_is_that_of_the_configurations_of_the_runs(runs):
     assert with_records(load_dataset_table(PATH), [first._replace(config={})]) == load_dataset_table(PATH)
 
 
-def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
+def test_scenes_and_frames_are_those_of_the_configuration(runs):
     run = read_runs(runs)[0]
-    assert facts_of_scenes(scenes_of(run)) == (
+    assert facts_of_scenes(run) == (
         "2 scenes (8 frames) for train, 1 scenes (4 frames) for val, 1 scenes (4 frames) for test; 2 kinds of places."
     )
-    for other in (
-        run._replace(facts=run.facts | {"data": "another"}),
-        run._replace(config={"data": {"source": {"_target_": "omniworld.VirtualWorld", "gone": 1, "root": "x"}}}),
-        run._replace(config={}),
-    ):
-        assert scenes_of(other) == []
+    assert facts_of_scenes(run._replace(config={"data": {"source": {"_target_": "omniocc.data.Recorded"}}})) == ""
+    assert facts_of_scenes(run._replace(config={})) == ""
 
 
 def test_a_row_with_too_few_cells_is_named(tmp_path):

@@ -302,10 +302,6 @@ class MadeScenes(SceneSource, Protocol):
         """Return the plans of the scenes that are not there yet."""
         ...
 
-    def made_before(self, fingerprint: str) -> Sequence[SceneFrames]:
-        """Return the scenes of all splits with this fingerprint, even if made by other code; none if they are gone."""
-        ...
-
     def made(self, split: Split, names: Sequence[str]) -> list[SceneFrames]:
         """Return the scenes of a split with these names; make those that are missing first."""
         ...

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr
 
 from omniocc.report.runs import RAY_IOU, FinishedRun
 from omniocc.report.tables.gaps import EXACT, UNKNOWN, Gap, Gaps, gap_of_systems, holm, paired_gap
@@ -82,7 +82,7 @@ class Claim(NamedTuple):
             return math.nan
         if error < EXACT:
             return float(here > self.size - EXACT)
-        return float(stats.t.cdf((here - self.size) / error, freedom))
+        return float(stdtr(freedom, (here - self.size) / error))
 
 
 class Judged(NamedTuple):

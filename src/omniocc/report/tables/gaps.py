@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr
 
 from omniocc.report.runs import FinishedRun
 
@@ -40,7 +40,7 @@ class Gap(NamedTuple):
         """Return the two-sided p-value of 'there is no gap'; nan if the error is not known."""
         if self.error < EXACT:
             return float(abs(self.here) < EXACT)
-        return 2 * float(stats.t.sf(abs(self.here) / self.error, self.freedom))
+        return 2 * float(stdtr(self.freedom, -abs(self.here) / self.error))
 
 
 UNKNOWN = Gap(math.nan, math.nan, 0)

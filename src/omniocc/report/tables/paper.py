@@ -204,7 +204,7 @@ def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
     values = [value for run in runs if (value := run.metrics.get(key)) is not None and not math.isnan(value)]
     if not values:
         return None
-    return Figure(statistics.mean(values), statistics.stdev(values) if len(values) > 1 else math.nan, len(values))
+    return Figure(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else math.nan, len(values))
 
 
 def in_cell(key: str, value: float | None) -> str:

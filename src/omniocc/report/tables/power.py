@@ -5,8 +5,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from scipy import stats
-
 from omniocc.errors import UserError
 from omniocc.io import read_yaml
 from omniocc.report.runs import RAY_IOU
@@ -110,6 +108,8 @@ def power_of(size: float, error: float, freedom: int, claims: int) -> float:
         freedom: degrees of freedom of the error.
         claims: number of claims in the family. The level is that of Holm's first step, the strictest.
     """
+    from scipy import stats  # takes a second to import, and only the pages of all results need it
+
     bound = stats.t.isf(LEVEL / claims / 2, freedom)  # half the level for each sign
     return float(stats.nct.sf(bound, freedom, size / error))
 

@@ -63,8 +63,8 @@ def relative_cells(records: Sequence[Robustness], names: Sequence[str] = ()) -> 
     drops, undisturbed = [], []
     for members in columns.values():
         each = [drops_by_kind(record, parts) for record in members]
-        drops.append({group: statistics.mean(one[group] for one in each) for group in each[0]})
-        undisturbed.append(statistics.mean(one.undisturbed.scores.get("rayiou", math.nan) for one in members))
+        drops.append({group: statistics.fmean(one[group] for one in each) for group in each[0]})
+        undisturbed.append(statistics.fmean(one.undisturbed.scores.get("rayiou", math.nan) for one in members))
     rows = [[f"undisturbed {VOXEL_RAYIOU}", *map(number, undisturbed)]]
     rows += [[group.replace("_", " "), *_least_bold([one[group] for one in drops])] for group in drops[0]]
     if drops[0]:

@@ -168,7 +168,7 @@ def training_csv(rows: RunsByRow, names: Mapping[str, str]) -> str:
 def _at(curves: Sequence[Mapping[int, float]], end: float) -> float | None:
     """Return the mean of the last values up to a step; None if a curve has none."""
     values = [[curve[step] for step in sorted(curve) if step <= end][-1:] for curve in curves]
-    return statistics.mean(value for (value,) in values) if all(values) else None
+    return statistics.fmean(value for (value,) in values) if all(values) else None
 
 
 def _once(tables: Sequence[PaperTable]) -> list[PaperTable]:
