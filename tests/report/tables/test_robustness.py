@@ -115,7 +115,9 @@ def test_the_page_has_means_over_seeds_apart_by_steps():
     again = record("flashocc-87654321", 0.5, 0.4, {180: 0.4})
     short = [one._replace(training=f"1000 steps, seed {seed}") for seed, one in enumerate((OTHER, again))]
     long = OURS._replace(training="10000 steps, seed 0")
-    first, others = page_parts([*short, long], "1000", {"flashocc": "FlashOcc"})
+    elsewhere = OURS._replace(facts=OURS.facts | {"setting": "another"})
+    first, others, last = page_parts([elsewhere, *short, long], "1000", {"flashocc": "FlashOcc"})
+    assert last.title == "Trained for other numbers of steps on other test scenes"
     assert first.title == "Trained for 1000 steps"
     assert first.cells[0][1:] == ["FlashOcc"]
     assert [line[1] for line in first.cells[1]] == ["0.450", "12.5", "45.0", "28.7", "0.321"]

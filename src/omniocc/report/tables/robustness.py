@@ -119,20 +119,21 @@ def facts_line(record: Robustness, name: str) -> str:
 
 
 def page_parts(records: Sequence[Robustness], steps: str, names: Mapping[str, str]) -> list[Part]:
-    """Return a table of the systems trained for a number of steps, and one of all others, means over their seeds."""
+    """Return a table of the systems trained for a number of steps, and one of all others, means over their seeds.
+
+    Systems that were tested on other scenes have tables of their own.
+    """
     parts = []
-    for group in comparable(records):
+    for place, group in enumerate(comparable(records)):
+        elsewhere = " on other test scenes" if place else ""
         trained = [record.training.partition(" ")[0] for record in group]
         for same in (True, False):
-            own = {place: record for place, record in enumerate(group) if (trained[place] == steps) == same}
-            rows = {place: HASH.sub("", record.system) for place, record in own.items()}
-            titles = [
-                named(row if same or not trained[place] else f"{row}@{trained[place]}", names)
-                for place, row in rows.items()
-            ]
+            own = {k: record for k, record in enumerate(group) if (trained[k] == steps) == same}
+            rows = {k: HASH.sub("", record.system) for k, record in own.items()}
+            titles = [named(row if same or not trained[k] else f"{row}@{trained[k]}", names) for k, row in rows.items()]
             title = f"Trained for {steps} steps" if same else "Trained for other numbers of steps"
             if own:
-                parts.append(Part("robustness", title, "", relative_cells(list(own.values()), titles)))
+                parts.append(Part("robustness", title + elsewhere, "", relative_cells(list(own.values()), titles)))
     return parts
 
 
