@@ -16,7 +16,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
-from omniocc.bounds import Batches, Count, Kept, Limit, Number, NumberOrNone, Weight, described, fits
+from omniocc.bounds import Batches, Count, Kept, Limit, Number, NumberOrNone, Probability, Weight, described, fits
 from omniocc.code import spec_of
 from omniocc.errors import UserError, first_line
 from omniocc.io import checked_name
@@ -124,6 +124,7 @@ ROOT: dict[str, Any] = {
     "test_images": NumberOrNone,
     "ema_decay": Kept | None,  # pyright: ignore[reportOperatorIssue]
     "lr_multipliers": dict[str, Weight] | None,
+    "occupied_above": Probability | None,  # pyright: ignore[reportOperatorIssue]
     "packages": list[str],
     "plan": bool,
 }

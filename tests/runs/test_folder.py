@@ -25,6 +25,8 @@ def test_the_hash_depends_only_on_what_decides_the_result():
     assert run_hash(config, "data") == run_hash({**config, "paths": {"runs": "b"}, "resume": "never"}, "data")
     assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
     assert run_hash(config, "data") != run_hash(config, "other data")
+    assert run_hash(config, "data") == run_hash({**config, "occupied_above": None}, "data"), "as before this key"
+    assert run_hash(config, "data") != run_hash({**config, "occupied_above": 0.2}, "data")
     assert run_hash(config, "data") == run_hash({**config, "depth": {"spheres": 9}}, "data"), "nothing looks at depth"
     stages = {**config["stages"], "depth": {"max_steps": 9}}
     assert run_hash(config, "data") == run_hash({**config, "stages": stages}, "data")

@@ -10,6 +10,7 @@ from omniocc.config import build
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.trained import check_overrides, check_places
+from omniocc.train import occupancy
 from omniocc.train.build import check_devices, line_on_lifter
 
 
@@ -31,6 +32,15 @@ def test_a_value_that_the_trainer_does_not_take_is_named(smoke):
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
     with pytest.raises(UserError, match=r"model.hints.pixel_classes=true needs a 2D head"):
         make_task("model/semantic_head=none", "model.hints.pixel_classes=true")
+
+
+@pytest.mark.parametrize(("override", "label"), [((), 0), (("occupied_above=0.25",), 1), (("occupied_above=0.5",), 0)])
+def test_a_training_is_validated_with_its_own_threshold(make_task, monkeypatch, override, label):
+    task = make_task(*override)
+    logits = torch.tensor([0.0, -0.5]).view(1, 2, 1, 1, 1)  # free, and a class of probability 0.38
+    monkeypatch.setattr(occupancy, "model_inputs", lambda batch: ())
+    monkeypatch.setattr(task.stream, "windows", lambda exists, frames: logits)
+    assert task.evaluate(SimpleNamespace(images=torch.zeros(1, 1), exists=None, frame_ids=[])).item() == label
 
 
 @pytest.mark.parametrize("lifter", ["coloring", "coarse_coloring", "pillar"])

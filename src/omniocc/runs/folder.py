@@ -81,6 +81,8 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
     learns = sketch_learns(config)
     unused = () if learns else ("depth", "appearance")
+    if config.get("occupied_above") is None:  # the hash of runs from before this key
+        unused += ("occupied_above",)
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
     stages = config["stages"] if learns else (LAST_STAGE,)
     kept["stages"] = with_digests(config["stages"], stages)

@@ -122,5 +122,6 @@ def build_task(parts: Parts, spec: SourceSpec, trained: OccupancyModel | None = 
         spec=spec,
         config=config,
         lr_multipliers=factors,
+        occupied_above=config.get("occupied_above"),
         seed=seed,
     )

@@ -38,6 +38,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         spec: of the data: classes, bands and LiDAR rays of the scores.
         lr_multipliers: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps
             its weights and its statistics of batch norm.
+        occupied_above: probability above which a cell is occupied in validation and test; see `labels_of`.
         seed: of the random changes.
 
     Raises:
@@ -56,17 +57,16 @@ class OccupancyTask(StageTask[OccupancyModel]):
         spec: SourceSpec,
         config: dict[str, Any],
         lr_multipliers: Mapping[str, float],
+        occupied_above: float | None,
         seed: int,
     ):
         super().__init__(model, optimizer, config)
-        self.lr_multipliers, self.seed = lr_multipliers, seed
+        self.lr_multipliers, self.occupied_above, self.seed = lr_multipliers, occupied_above, seed
         self.fixed = fixed_parts(model, lr_multipliers)
         self.train()
         self.loss = loss
         self.augment = augment
         self.ema_decay = ema_decay
-        self.occupied_above: float | None = None
-        """Probability above which weights call a cell occupied in validation and test; None: the most likely class."""
         self.stream = Stream(model)
         self.scores = Scores(model.geometry, spec)
         self.prior_scores = Scores(model.geometry, spec)
