@@ -85,8 +85,10 @@ export class Images {
     this.mark();
     const { camera, facts } = this.figures[place.number] ?? {};
     if (facts) this.choose({ name: "panorama", origin: [0, 0, 0], direction: panoramaDirection(facts, place.across, place.down) });
-    else if (camera) this.choose(await this.rayIn(camera, place));
-    else this.choose(null);
+    else if (camera) {
+      const ray = await this.rayIn(camera, place);
+      if (this.chosen === place) this.choose(ray); // the tables of a lens take time to load, and another may be chosen by now
+    } else this.choose(null);
   }
 
   async rayIn(camera, { across, down }) {
