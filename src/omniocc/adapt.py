@@ -40,9 +40,10 @@ PIXELS = 256 * 144
 """Of an image, as many as of the images that these weights were trained with."""
 ORIGIN_ABOVE_ROAD_M, ROAD_WITHIN_M = 2.2, 0.2
 """Height at which these weights expect the origin, as in `conf/adapt`, and how much another one may differ."""
-FEWEST_MINUTES = 3.0
-TEST_SHARE, FRAMES_SHARE = 0.15, 0.25
-"""Of all time: about this for validation and tests, and at most this for making training frames and their ranges."""
+FEWEST_MINUTES = 5.0
+START_S, TEST_SHARE, FRAMES_SHARE = 60.0, 0.15, 0.25
+"""Seconds for starts and the test of the weights as they are; of all time, about this for validation and tests, and at
+most this for making training frames and their ranges."""
 SHARES = {"depth": 0.3, "sketch": 0.15, "occupancy": 0.55}
 """Fractions of the time that is left for training, by stage; the time of one that does not train is shared."""
 SCENES = 16, 480
@@ -119,7 +120,7 @@ def adapt(rig: str | None, road_z_m: float | None, minutes: float, words: Sequen
     print("\n" + in_columns(*table))
     print(f"images    {after / IMAGES}")
     what = "recorded=my_scenes" if rig is None else f"rig={shlex.quote(rig)} images=my_images"
-    print(f"predict   python src/predict.py occupancy checkpoint={after / BEST} {what}")
+    print(f"predict   python src/predict.py occupancy checkpoint={after / BEST} {what} output=adapted")
 
 
 def as_they_are(cfg: DictConfig, folder: Path) -> dict[str, float] | None:
@@ -190,7 +191,7 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
     steps_s = {name: step_seconds(stages[name]) for name in SHARES if stages[name].recipe.max_steps}
     alone = parts.source(workers=0)
     frame_s, frame_bytes = frame_cost(alone, stages["depth"])
-    left_s = (1 - TEST_SHARE) * seconds - (time.monotonic() - begin_s)
+    left_s = (1 - TEST_SHARE) * seconds - START_S - (time.monotonic() - begin_s)
     others = sum(frames_in(source, split) for split in ("val", "test"))
     scenes = None
     frames = training_frames(source)

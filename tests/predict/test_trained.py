@@ -74,3 +74,5 @@ def test_the_cameras_of_the_training_are_known_also_where_only_one_rig_states_th
     assert own.rig.road_z_m is None
     assert own.compare(replace(Rig.load("fisheye6"), road_z_m=-2.2)) == "as in training"
     assert own.compare(Rig.load("surround_view")) == "not those of the training (fisheye6): expect worse results"
+    for name in ("random", "any"):
+        assert replace(own, rig_name=name).compare(Rig.load("surround_view")) == "for rigs drawn at random"

@@ -9,7 +9,7 @@ from omniocc.classes import ClassTable
 from omniocc.data import OccupancyData
 from omniocc.data.source import Ignore
 from omniocc.data.source.cameras import training_rig
-from omniocc.data.store.meta import DRAWN_RIG
+from omniocc.data.store.meta import DRAWN_RIGS
 from omniocc.predict.road import NO_ROAD
 
 UNMOVED_M = 0.0005
@@ -68,7 +68,7 @@ class TrainingData:
 
     def compare(self, rig: Rig) -> str:
         """Return in words whether the model was trained with this rig."""
-        if self.rig_name == DRAWN_RIG:
+        if self.rig_name in DRAWN_RIGS:
             return "for rigs drawn at random"
         return (
             "as in training" if self.has(rig) else f"not those of the training ({self.rig_name}): expect worse results"

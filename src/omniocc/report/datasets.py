@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from omniocc.camera import Pinhole, Rig
 from omniocc.data.source import SPLITS
 from omniocc.data.store.files import list_folders
-from omniocc.data.store.meta import DRAWN_RIG
+from omniocc.data.store.meta import DRAWN_RIGS
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
@@ -82,7 +82,7 @@ def with_records(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTab
     if not made or made[0] is not sources[0]:
         return table
     names = dict.fromkeys(source["rig"] for source in made)
-    pinhole = {pinhole for name in names if name != DRAWN_RIG for pinhole in kinds_of_cameras(name)}
+    pinhole = {pinhole for name in names if name not in DRAWN_RIGS for pinhole in kinds_of_cameras(name)}
     frames = sum(made[0][f"{split}_scenes"] for split in SPLITS) * made[0]["frames_per_scene"]
     cells = [True in pinhole, False in pinhole, True, True, True, frames]
     return table._replace(rows=[*table.rows, ("OmniDepth-Occ (here)", cells)])

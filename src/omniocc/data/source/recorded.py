@@ -15,7 +15,7 @@ from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
 from omniocc.data.source import SPLITS, Ignore, SourceSpec, Split
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
-from omniocc.data.store.meta import DRAWN_RIG, ORIGIN, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
+from omniocc.data.store.meta import DRAWN_RIGS, ORIGIN, RENDERED_REACH_M, panorama_of, plain_spec, read_spec
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import FAULTS, DataError, repr_of
@@ -156,7 +156,7 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
     try:
         facts = scene.meta["facts"]
         recipe = facts.get("recipe")
-        drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(DRAWN_RIG)
+        drawn = isinstance(recipe, dict) and str(recipe["rig"]).startswith(DRAWN_RIGS)
         drawn = drawn and not isinstance(recipe.get(ORIGIN), float)
         return read_spec(facts["spec"] | ({"road_z_m": None} if drawn else {}))
     except FAULTS as error:

@@ -16,8 +16,8 @@ from omniocc.frame import Frame
 from rayiou.cylinder import PAPER_RANGE_EDGES_M
 from rayiou.directions import sparseocc_directions
 
-DRAWN_RIG = "random"
-"""Value of `rig` in the recipe of scenes that each have a randomly drawn rig."""
+DRAWN_RIGS = ("random", "any")
+"""Values of `rig` in the recipe of scenes that each have another, drawn rig."""
 ORIGIN = "origin_above_road_m"
 """Key of a recipe that sets the height of the ego origin above the road."""
 RENDERED_REACH_M = (26.0, 26.0, 6.0)
