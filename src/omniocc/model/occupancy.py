@@ -325,7 +325,7 @@ def labels_of(logits: Float[Tensor, "*B C X Y Z"], occupied_above: float | None)
 
 
 def probabilities_of(logits: Float[Tensor, "*B C X Y Z"]) -> Float16[Tensor, "*B 2 X Y Z"]:
-    """Return the probability that a cell is occupied, and that of its most likely class if it is."""
+    """Return for every cell the probability of being occupied, and of its most likely class, given that it is."""
     free, classes = split_free(logits)
     occupied = 1 - free
     return torch.stack([occupied, classes.amax(-4) / occupied.clamp(min=1e-6)], -4).half()

@@ -158,7 +158,7 @@ class Trained:
         self._check(*TASK_KEYS)
         with building(self.path, self.checkpoint.weights):
             task = build_task(self._parts.without_pretrained(), self.data.spec, model)
-        task.occupied_above = self.occupied_above
+        task.occupied_above = self.occupied_above  # checked, since a file may hold anything
         return load_weights(task, self.checkpoint.weights, self.path).eval()
 
     @property

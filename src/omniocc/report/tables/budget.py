@@ -17,9 +17,9 @@ HEAD = ["Method", "M parameters", "GFLOP a frame", "Steps of depth", "Steps of s
 HEAD += ["Steps in all", "Samples a step", "Minutes of occupancy", "Minutes in all", "Peak MiB"]
 TITLE = "Budget"
 NOTE = (
-    "Two networks may be trained before the main network: depth estimates ranges, and the sketch estimates which "
-    "voxels are occupied. The main network gives every voxel its class. Parameters "
-    "and operations are the sum over all networks of the model. Memory is that of training the main network alone. "
+    "The depth network estimates ranges. The sketch network estimates which voxels are occupied. The occupancy "
+    "network, trained last, gives every voxel its class. Parameters and operations are the sum over all networks of "
+    "the model. Memory is that of occupancy training alone. "
     "Minutes in all add the training of depth and sketch, also where several models use the same trained ones. "
     "Minutes are means over seeds."
 )
