@@ -3,6 +3,7 @@
 import json
 import pickle
 from types import SimpleNamespace
+from typing import Generic, Protocol
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource, WindowDataset, collate
 from omniocc.data.formats.nuscenes import CAMERAS, VALIDATION, KeyFrames, read_key_frames, records
 from omniocc.data.formats.poses import quaternion_pose, rigid
-from omniocc.data.source import SceneFrames, VoxelLabels
+from omniocc.data.source import MadeScenes, SceneFrames, VoxelLabels
 from omniocc.data.source.occ3d_nuscenes import GRID, ORIGIN_M, Occ3DNuScenes, Occ3DScene, decode_classes, encode_classes
 from omniocc.errors import DataError
 from omniocc.geometry import Cylinder
@@ -36,6 +37,16 @@ def source_of(root, **changes):
     source = Occ3DNuScenes(str(root), "v1.0-trainval", **options | changes)
     source.prepare()
     return source
+
+
+def test_whether_its_scenes_are_made_is_known_before_it_is_prepared(root, tmp_path):
+    source = Occ3DNuScenes(
+        str(root), "v1.0-trainval", image_width=64, panorama=PANORAMA, ego_motion=True, val_every=2, cache=str(tmp_path)
+    )
+    # isinstance evaluates members of a protocol in an order that differs from run to run, up to the first that lacks
+    bases = [base for base in MadeScenes.__mro__ if base not in (Protocol, Generic, object)]
+    asked = {name: hasattr(source, name) for base in bases for name in vars(base) if not name.startswith("_")}
+    assert asked == dict.fromkeys(("made_here", "planned_rig", "planned", "missing", "made"), False)
 
 
 def test_it_keeps_the_contracts_and_splits_as_published(root):

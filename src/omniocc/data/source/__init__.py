@@ -282,8 +282,11 @@ class SceneSource(Protocol):
 
 
 @runtime_checkable
-class MadeScenes(SceneSource, Protocol):
-    """A source that makes its scenes when they are asked for; their rig and numbers of frames are known before."""
+class MadeScenes(Protocol):
+    """What a source further has that makes its scenes when they are asked for: their plans are known before.
+
+    A protocol of its own: `isinstance` evaluates properties before Python 3.12, and those of `SceneSource` read files.
+    """
 
     @property
     def made_here(self) -> bool:
