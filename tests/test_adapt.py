@@ -10,10 +10,11 @@ from omegaconf import OmegaConf
 from omniocc import adapt as module
 from omniocc.adapt import Plan, adapt, check_road, planned, rig_overrides, with_road_in_file
 from omniocc.camera import Rig
-from omniocc.config import CONF, check_root, compose_config, quoted
+from omniocc.config import check_root, quoted
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.predict.rig_file import write_rig_file
+from omniocc.runs.script import train_config
 from omniocc.train.start import load_fitting
 
 SCORES = ("rayiou", "rayiou_0-8.5m", "lidar/rayiou", "voxel/iou", "voxel/miou")
@@ -41,7 +42,7 @@ def costs(monkeypatch):
 
 
 def plan_of(rig, words, minutes) -> Plan:
-    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words])
+    cfg = train_config(["+adapt=any-rig", *rig_overrides(rig), *words])
     return planned(cfg, Parts(cfg).source(), 60 * minutes)
 
 
@@ -99,7 +100,7 @@ def test_too_little_time_is_a_line(rig, words, costs):
 
 
 def test_the_network_takes_all_of_the_weights(rig, words):
-    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words])
+    cfg = train_config(["+adapt=any-rig", *rig_overrides(rig), *words])
     check_root(cfg)
     parts = Parts(cfg)
     assert "new are" not in load_fitting(parts.model(), cfg.weights, parts.config)
@@ -139,7 +140,7 @@ def test_the_same_call_goes_on_with_its_plan_and_ends_with_a_table(rig, words, c
 def test_weights_as_they_are_are_scored_on_the_streets_seen_by_ones_own_rig(rig, words, tmp_path, monkeypatch):
     small = ["data.source.themes=[campus]", "data.source.frames_per_scene=1", "data.source.test_scenes=1"]
     small += ["data.ray_azimuths=24", "data.num_workers=0", "data.source.workers=0"]
-    cfg = compose_config(CONF, "train", ["+adapt=any-rig", *rig_overrides(rig), *words, *small])
+    cfg = train_config(["+adapt=any-rig", *rig_overrides(rig), *words, *small])
     check_root(cfg)
     found = module.as_they_are(cfg, tmp_path / "shipped")
     folders = {path.name for path in Parts(cfg).source().folder.iterdir()}
@@ -148,7 +149,7 @@ def test_weights_as_they_are_are_scored_on_the_streets_seen_by_ones_own_rig(rig,
     assert found["prior/rayiou"] < found["test/rayiou"] < found["label/rayiou"] == 1
     monkeypatch.setattr(module, "score_checkpoint", None)  # once is enough
     assert module.as_they_are(cfg, tmp_path / "shipped") == pytest.approx(found, nan_ok=True)
-    assert module.as_they_are(compose_config(CONF, "train", ["data.num_classes=5"]), tmp_path / "others") is None
+    assert module.as_they_are(train_config(["data.num_classes=5"]), tmp_path / "others") is None
 
 
 @pytest.mark.parametrize(("road_z_m", "fits"), [(-2.2, True), (-2.05, True), (None, True), (-1.6, False)])
@@ -165,8 +166,7 @@ def test_recordings_need_the_road_where_the_weights_expect_it(road_z_m, fits, ri
 def test_recordings_start_from_the_same_weights():
     own = ["data=recorded", "data.source.root=my_scenes"]
     recorded, rendered = (
-        compose_config(CONF, "train", [f"+adapt={name}", *own[:count]])
-        for name, count in (("any-rig-recorded", 2), ("any-rig", 0))
+        train_config([f"+adapt={name}", *own[:count]]) for name, count in (("any-rig-recorded", 2), ("any-rig", 0))
     )
     for key in ("model", "depth", "weights", "name"):
         assert recorded[key] == rendered[key]

@@ -18,11 +18,11 @@ def run(code: str) -> str:
 def test_recorded_scenes_and_the_model_of_the_paper_need_no_world_and_no_extras(tmp_path):
     code = (
         "import sys\n"
-        "from pathlib import Path\n"
-        "from omniocc.config import check, compose_config\n"
+        "from omniocc.config import check\n"
+        "from omniocc.runs.script import train_config\n"
         "from omniocc.parts import Parts\n"
         f"words = ['preset=smoke', 'data=recorded', 'data.source.root={tmp_path}', 'logger.mode=disabled']\n"
-        f"cfg = compose_config(Path({str(ROOT / 'conf')!r}), 'train', words)\n"
+        "cfg = train_config(words)\n"
         "check(cfg)\n"
         "parts = Parts(cfg)\n"
         "model = parts.model()\n"

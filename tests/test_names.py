@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from omniocc.camera import Rig
-from omniocc.config import ConfigError, check_root, compose_config
+from omniocc.config import ConfigError, check_root
 from omniocc.data.formats.index import Index
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SceneWriter, digest
@@ -22,6 +22,7 @@ from omniocc.report.runs import read_runs
 from omniocc.runs.folder import open_run
 from omniocc.runs.results import save_results
 from omniocc.runs.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
+from omniocc.runs.script import train_config
 from omniocc.runs.wandb import Loggers
 
 ROOT = Path(__file__).parents[1]
@@ -76,14 +77,14 @@ def test_no_run_is_called_so(tmp_path):
 
 @pytest.mark.parametrize("key", ["name", "preset.name", "logger.group"])
 def test_train_names_the_key_before_anything_is_made(key):
-    cfg = compose_config(ROOT / "conf", "train", ["preset=smoke", f"{key}='../x'"])
+    cfg = train_config(["preset=smoke", f"{key}='../x'"])
     with pytest.raises(ConfigError, match=rf"problems? in .*\n  {key} is '\.\./x'; files are called by it"):
         check_root(cfg)
 
 
 @pytest.mark.parametrize("row", ["ours", "wo_temporal"])
 def test_rows_have_right_names(row):
-    cfg = compose_config(ROOT / "conf", "train", [f"+ablation={row}"])
+    cfg = train_config([f"+ablation={row}"])
     check_root(cfg)
     assert cfg.name == row
 

@@ -16,7 +16,6 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import compose_config
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.reader import SceneReader
@@ -32,7 +31,7 @@ from omniocc.runs.checkpoint_io import BEST, LAST
 from omniocc.runs.folder import run_folder
 from omniocc.runs.results import EARLIER_MINUTES, METRICS, MINUTES, load_results
 from omniocc.runs.scenes import scene_figures
-from omniocc.runs.script import quiet_libraries
+from omniocc.runs.script import quiet_libraries, train_config
 from omniocc.runs.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
 from omniocc.train.depth import FARTHEST_M
 from omniocc.train.stage_keys import stage_keys
@@ -68,7 +67,7 @@ def file_of(name: str, is_start: bool) -> Path:
 
 def config_of(recipe: dict[str, Any]) -> DictConfig:
     """Return the configuration of a recipe's training."""
-    return compose_config(ROOT / "conf", "train", recipe["overrides"])
+    return train_config(recipe["overrides"])
 
 
 def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:

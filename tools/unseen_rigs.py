@@ -17,7 +17,6 @@ from make_weights import folder_of, train
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
 from omniocc.data.labels.counts import all_frames
@@ -28,7 +27,7 @@ from omniocc.model.depth import DepthMap
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.progress import Progress
-from omniocc.runs.script import quiet_libraries
+from omniocc.runs.script import quiet_libraries, train_config
 from omniocc.train.depth import FARTHEST_M, score_confidence
 from omniworld.drawn import car_places, rig_at, ring_places
 
@@ -140,7 +139,7 @@ def score(model: nn.Module, data: OccupancyData, without: int | None = None) -> 
 
 def data_of(overrides: list[str]) -> OccupancyData:
     """Return the data of a configuration, rendered."""
-    data = Parts(compose_config(ROOT / "conf", "train", overrides)).data()
+    data = Parts(train_config(overrides)).data()
     data.prepare_data()
     return data
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, cast
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import CONF, compose_config, plain, quoted
+from omniocc.config import plain, quoted
 from omniocc.data.dataset import read_images
 from omniocc.data.source import MadeScenes, SceneSource
 from omniocc.data.source.cameras import first_rig, frames_in, training_frames
@@ -28,6 +28,7 @@ from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import BEST
 from omniocc.runs.folder import run_folder, short_hash
 from omniocc.runs.results import EVALUATION, IMAGES, METRICS, load_results
+from omniocc.runs.script import train_config
 from omniocc.runs.table import BASELINE, BOUND, comparison_cells, in_columns, markdown
 from omniocc.train.command import step_seconds, train
 from omniocc.train.depth import DepthTask
@@ -90,10 +91,10 @@ def adapt(rig: str | None, road_z_m: float | None, minutes: float, words: Sequen
     if any(word.startswith("data=") for word in words) != (rig is None):
         raise UserError("give your cameras, rig=my_rig.yaml, or recordings, data=recorded data.source.root=my_scenes")
     if rig is not None and road_z_m is not None:
-        rig = with_road_in_file(rig, road_z_m, Path(compose_config(CONF, "train", words).paths.runs))
+        rig = with_road_in_file(rig, road_z_m, Path(train_config(words).paths.runs))
     base = [f"+adapt={START}-recorded"] if rig is None else [f"+adapt={START}", *rig_overrides(rig)]
     base += words
-    cfg = compose_config(CONF, "train", base)
+    cfg = train_config(base)
     source = Parts(cfg).source()
     if rig is None:
         check_road(source)
@@ -237,7 +238,7 @@ def frame_cost(alone: SceneSource, depth: Stage) -> tuple[float, float]:
 def trained(overrides: Sequence[str]) -> Path:
     """Run a training, unless it is finished, and return its folder."""
     print(f"command   python src/train.py {shlex.join(overrides)}", flush=True)
-    cfg = compose_config(CONF, "train", overrides)
+    cfg = train_config(overrides)
     train(cfg)
     parts = Parts(cfg)
     return run_folder(Path(cfg.paths.runs), parts.config, parts.source().fingerprint)

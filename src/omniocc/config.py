@@ -295,11 +295,6 @@ def quoted(text: str) -> str:
     return f"'{escaped}'"
 
 
-def compose_config(folder: Path, name: str, overrides: Sequence[str]) -> DictConfig:
-    """Return the same tree as `compose_plain`, to build from; raise ConfigError when it cannot be composed."""
-    return OmegaConf.create(compose_plain(folder, name, overrides))
-
-
 def _walk(node: Any, path: str, packages: Sequence[str]) -> Iterator[str]:
     if isinstance(node, DictConfig) and "_target_" in node:
         yield from _check_call(node, path, packages)

@@ -9,7 +9,6 @@ from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
 from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
-from omniocc.config import CONF, compose_config
 from omniocc.data.origins import Origins
 from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
@@ -17,6 +16,7 @@ from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
 from omniocc.runs.folder import git_commit
 from omniocc.runs.results import EVALUATION, IMAGES, OVERRIDES, PROTOCOL, save_results, show_results
+from omniocc.runs.script import train_config
 from omniocc.runs.weights import SHIPPED, find_checkpoint
 from omniocc.train import StepProgress
 from omniocc.train.audit import audit
@@ -169,7 +169,7 @@ def score_predictions(options: Evaluation) -> None:
     """Score prediction files on the test scenes of the data in the overrides; write metrics and table."""
     folder = options.predictions
     assert folder is not None
-    source = Parts(compose_config(CONF, "train", options.overrides)).data().source
+    source = Parts(train_config(options.overrides)).data().source
     source.prepare()
     metrics, protocol = score_files(source, folder, origins=options.origins)
     output = options.output or folder.with_name(f"{folder.name}-scores{options.suffix}")

@@ -155,6 +155,12 @@ def test_nearest_names_come_best_first_and_far_ones_not_at_all():
         (("export.py", "rigg=x"), "rigg: there is no such key; did you mean rig"),
         (("predict.py", "depth"), "images=... is needed; see python src/predict.py depth --help"),
         (("predict.py", "occupancy"), "checkpoint=... is needed; see python src/predict.py occupancy --help"),
+        (
+            ("check.py", "data=recorded", "data.source.roo=x"),
+            "data.source.roo: there is no such key; did you mean data.s",
+        ),
+        (("adapt.py", "minuts=9"), "minuts: there is no such key; did you mean minutes?"),
+        (("adapt.py", "model/backbon=x", "data=recorded"), "model/backbon: there is no such key; did you mean model/b"),
         (("predict.py", "depth", "rigg=x"), "rigg: there is no such key; did you mean rig"),
         (("predict.py", "occupancy", "rig=[x"), "rig=[x: this cannot be read"),
     ],

@@ -11,19 +11,24 @@ python src/adapt.py data=recorded data.source.root=my_scenes minutes=30         
 """
 
 import argparse
+from difflib import get_close_matches
 
 from omniocc.errors import UserError
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
+
+OWN = ("rig", "road_z_m", "minutes")
+"""Keys that `src/train.py` does not have."""
 
 
 @lines_not_tracebacks
 def main() -> None:
     """Read the words of the command line, and adapt."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "words", nargs="+", metavar="key=value", help="rig, road_z_m, minutes, or a key of src/train.py"
-    )
+    parser.add_argument("words", nargs="+", metavar="key=value", help=f"{', '.join(OWN)}, or a key of src/train.py")
     words = dict(word.split("=", 1) if "=" in word else (word, "") for word in parser.parse_args().words)
+    for key in words.keys() - OWN:
+        if close := get_close_matches(key, OWN, n=1):
+            raise UserError(f"{key}: there is no such key; did you mean {close[0]}?")
     rig, road_z_m, minutes = words.pop("rig", None), words.pop("road_z_m", None), words.pop("minutes", "30")
     height_m = None if road_z_m is None else number("road_z_m", road_z_m)
     within = number("minutes", minutes)

@@ -4,10 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from omniocc.config import CONF, compose_config
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
-from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
+from omniocc.runs.script import lines_not_tracebacks, quiet_libraries, train_config
 
 
 @lines_not_tracebacks
@@ -21,7 +20,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_intermixed_args(arguments)
     if min(options.frames, options.workers) < 0:
         parser.error("--frames and --workers must be 0 or more")
-    parts = Parts(compose_config(CONF, "train", options.overrides))
+    parts = Parts(train_config(options.overrides))
     from omniocc.check import read_back
 
     quiet_libraries()

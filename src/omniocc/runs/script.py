@@ -24,7 +24,15 @@ from hydra.errors import HydraException, InstantiationException, MissingConfigEx
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from omniocc.config import CONF, NOT_OF_TRAINER, VERSION_BASE, refuse_credentials, refused_key
+from omniocc.config import (
+    CONF,
+    NOT_OF_TRAINER,
+    VERSION_BASE,
+    ConfigError,
+    compose_plain,
+    refuse_credentials,
+    refused_key,
+)
 from omniocc.errors import INTERRUPTED, LOADER_ENDED, UserError
 from omniocc.io import cannot_write
 from omniocc.runs.help import help_text
@@ -244,6 +252,20 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
         return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
     lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
     return "\n  ".join([line.strip() for line in lines if line.strip()])
+
+
+def train_config(overrides: Sequence[str]) -> DictConfig:
+    """Return the configuration of `src/train.py` with these overrides.
+
+    Raises:
+        UserError: when they are wrong, with the nearest keys or options.
+    """
+    try:
+        return OmegaConf.create(compose_plain(CONF, "train", overrides))
+    except ConfigError as error:
+        if isinstance(error.__cause__, HydraException | OmegaConfBaseException):
+            raise UserError(explain(error.__cause__, str(CONF), "train", overrides)) from error
+        raise
 
 
 def _unknown_option(missing: str, options: Sequence[str]) -> str:

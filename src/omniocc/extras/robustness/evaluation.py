@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from omniocc.config import CONF, compose_config, plain
+from omniocc.config import plain
 from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
 from omniocc.data.loader import Loader
 from omniocc.data.source import MadeScenes, SceneFrames
@@ -32,6 +32,7 @@ from omniocc.report.tables.robustness import report_parts, robustness_csv
 from omniocc.runs.checkpoint import Checkpoint
 from omniocc.runs.folder import command_line, git_commit, short_hash
 from omniocc.runs.robustness import FOLDER, WITHIN, PartScores, Robustness, load_part, save_part, save_robustness
+from omniocc.runs.script import train_config
 from omniocc.runs.table import in_columns
 from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import log_robustness
@@ -277,7 +278,7 @@ def score_robustness(options: Evaluation) -> None:
         raise UserError("name a checkpoint, or a shipped file of weights")
     logging = [word for word in options.overrides if word.startswith("logger.")]
     others = [word for word in options.overrides if word not in logging]
-    logger: Loggers = Parts(compose_config(CONF, "train", logging)).loggers()
+    logger: Loggers = Parts(train_config(logging)).loggers()
     records: list[Robustness] = []
 
     def score(checkpoint: Path) -> None:
