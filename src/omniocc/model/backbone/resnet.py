@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
-from transformers import ResNetConfig
+from transformers import ResNetConfig, ResNetModel
 
 from omniocc.bounds import Count, Size
-from omniocc.model.ops.backbone import FPN, Normalize, build_resnet, check_finest_first
+from omniocc.model.ops.backbone import FPN, Normalize, check_finest_first, load_or_random, require_equal
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padded import FeatureMaps
 
@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 Pair = tuple[int, int]
 Operator = Callable[[Tensor, Tensor, Tensor, Tensor, Pair, Pair], Tensor]
 STRIDES = [4, 8, 16, 32]
+COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
 
 
 def sampled_convolution(
@@ -162,6 +163,21 @@ class ResNet(nn.Module):
         """Return feature maps of RGB in [0, 1], finest first."""
         stages = self.encoder(self.normalize(images), output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]
+
+
+def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
+    """Return a ResNet with the named weights, or with random ones (see `load_or_random`).
+
+    Raises:
+        ValueError: if the weights belong to a network of other sizes.
+    """
+
+    def load(name: str, local: bool) -> ResNetModel:
+        model = ResNetModel.from_pretrained(name, local_files_only=local)
+        require_equal(model.config, config, COMPARED, name)
+        return model
+
+    return load_or_random(weights, load, lambda: ResNetModel(config))
 
 
 def make_deformable(stage: nn.Module) -> None:

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
-from transformers import PretrainedConfig, ResNetConfig, ResNetModel
+from transformers import PretrainedConfig
 
 from omniocc.errors import UserError, first_line
 
@@ -19,7 +19,6 @@ log = logging.getLogger(__name__)
 
 PROBE_TIMEOUT_S = 3.0
 FILES = (".pt", ".pth", ".bin", ".ckpt", ".safetensors")
-COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
 ONEDNN_BLOCK = 16
 """Channels that oneDNN computes at once on CPUs with AVX-512."""
 MEAN = (0.485, 0.456, 0.406)
@@ -118,21 +117,6 @@ def require_equal(found: PretrainedConfig, expected: PretrainedConfig, names: It
         ours, theirs = getattr(expected, name), getattr(found, name)
         if ours != theirs:
             raise ValueError(f"weights '{weights}' have {name} {theirs}, the config asks for {ours}; make them agree")
-
-
-def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
-    """Return a ResNet with the named weights, or with random ones (see `load_or_random`).
-
-    Raises:
-        ValueError: if the weights belong to a network of other sizes.
-    """
-
-    def load(name: str, local: bool) -> ResNetModel:
-        model = ResNetModel.from_pretrained(name, local_files_only=local)
-        require_equal(model.config, config, COMPARED, name)
-        return model
-
-    return load_or_random(weights, load, lambda: ResNetModel(config))
 
 
 def _is_path(weights: str) -> bool:
