@@ -20,6 +20,7 @@ from omniocc.evaluate import Evaluation, score_checkpoint
 from omniocc.io import atomic_write
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
+from omniocc.predict.input.images import even_size
 from omniocc.predict.input.sequence import with_road
 from omniocc.predict.options import load_rig
 from omniocc.predict.trained import PLACE_ARGUMENTS, Trained
@@ -164,7 +165,7 @@ def rig_overrides(rig: str) -> list[str]:
         raise UserError(f"rig={rig} does not state the height of the road in its frame, m: give road_z_m=-0.9")
     first = own.cameras[0]
     scale = math.sqrt(PIXELS / (first.width * first.height))
-    width, height = (2 * round(scale * side / 2) for side in (first.width, first.height))
+    width, height = even_size(first, round(scale * first.width))
     return [f"data.source.rig={quoted(rig)}", f"data.source.image_size=[{width},{height}]"]
 
 

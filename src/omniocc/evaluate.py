@@ -9,6 +9,7 @@ from lightning.pytorch import Trainer
 from omegaconf import OmegaConf
 
 from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
+from omniocc.config import check_root
 from omniocc.data.origins import Origins
 from omniocc.errors import UserError
 from omniocc.model.protocols import takes_true_range
@@ -169,7 +170,8 @@ def score_predictions(options: Evaluation) -> None:
     """Score prediction files on the test scenes of the data in the overrides; write metrics and table."""
     folder = options.predictions
     assert folder is not None
-    source = Parts(train_config(options.overrides)).data().source
+    check_root(cfg := train_config(options.overrides))
+    source = Parts(cfg).data().source
     source.prepare()
     metrics, protocol = score_files(source, folder, origins=options.origins)
     output = options.output or folder.with_name(f"{folder.name}-scores{options.suffix}")

@@ -193,6 +193,12 @@ def test_error_names_a_calibration_that_is_no_file(lens, tmp_path):
         Rig.load(tmp_path / "car.yaml")
 
 
+def test_numbers_may_be_written_as_python_prints_them(tmp_path):
+    file = tmp_path / "car.yaml"
+    file.write_text(GOOD.replace("focal_px: 12.0", "focal_px: 12e0"))  # a text for YAML 1.1
+    assert Rig.load(file).cameras[0].focal_px == 12.0
+
+
 def test_error_names_unreadable_files(tmp_path):
     with pytest.raises(ValueError, match="'fisheye6'"):
         Rig.load("fisheye")
@@ -283,6 +289,11 @@ def test_a_mask_is_what_is_not_0_in_any_format(tmp_path):
         masks = Rig.load(file).masks
         assert masks is not None
         assert torch.equal(masks[0], torch.from_numpy(seen))
+    outer = tmp_path / "outer.yaml"  # a rig that takes its lens from this file has its mask, too
+    outer.write_text(f"cameras: {{left: {{calibration: car.yaml, mask: null, ego_from_camera: {POSE}}}}}")
+    masks = Rig.load(outer).masks
+    assert masks is not None
+    assert torch.equal(masks[0], torch.from_numpy(seen))
     os.mkfifo(tmp_path / "fifo.png")
     (tmp_path / "text.png").write_text("no image")
     for name, words in (("fifo.png", "a pipe"), ("text.png", "no image"), (".", "a folder")):

@@ -94,10 +94,12 @@ def test_blocks_at_the_ends_have_the_labels_of_their_voxels():
     voxels[0, 4, 3, 2], voxels[0, 0, 0, 0], voxels[0, 0, 1, 0], voxels[0, 1, 1, 1] = 2, 1, 1, 2
     expected = torch.zeros(1, 3, 2, 2, dtype=torch.uint8)
     expected[0, 2, 1, 1], expected[0, 0, 0, 0] = 2, 1
-    found = labels_of_blocks(voxels, 2, 3)
-    # the corner of an odd grid holds one voxel in eight, and is unknown where that one is free
-    expected[0, 2, 0, 1] = 255
-    assert torch.equal(found, expected)
+    assert torch.equal(labels_of_blocks(voxels, 2, 3), expected)
+    # the corner of an odd grid holds two voxels: one that is unknown is no more than half of them
+    voxels[0, 4, 0, 2] = 255
+    assert torch.equal(labels_of_blocks(voxels, 2, 3), expected)
+    voxels[0, 4, 1, 2], expected[0, 2, 0, 1] = 255, 255
+    assert torch.equal(labels_of_blocks(voxels, 2, 3), expected)
 
 
 def test_absent_labels_give_no_terms():

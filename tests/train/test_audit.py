@@ -61,6 +61,19 @@ def test_a_perfect_prediction_loses_nothing(make_task, spec):
     assert top == pytest.approx(1, abs=2e-3)
 
 
+def test_labels_are_those_of_the_test(make_task, spec):
+    """A cell that is occupied with a probability of a third is so above a quarter."""
+    task = make_task("model/sketch=omni")
+    batch = make_batch(task, ((0, 1), (1, 0)))
+    truth = torch.nn.functional.one_hot(batch.voxels.long(), 12).movedim(-1, 1).float()
+    logits = (0.3 * truth + 1e-6).log()
+    logits[:, FREE] = torch.where(batch.voxels == FREE, 0.0, torch.tensor(0.6).log())
+    for above, score in ((None, "0.000"), (0.25, "1.000")):
+        audit = Audit(task.model.geometry, spec, above)
+        audit.update(logits, Sketched(batch.candidates[:, -1], None), batch)
+        assert dict(audit.lines())["RayIoU of the model"] == score
+
+
 def test_errors_of_range_are_in_metres_and_in_pixels_of_parallax():
     panorama, errors = Equirectangular(36, 4, 20.0, -20.0), RangeErrors([0.0, 10.0, 20.0])
     true_m = torch.full((4, 36), 5.0)

@@ -28,6 +28,7 @@ from omniocc.train.stage_keys import STAGES
             "stages.sketch.batch_size=2 model.geometry.shape=[1000000, 10",
         ),
         ("depth.panorama.width=65536 depth.panorama.height=65536 stages.depth.batch_size=1000", "GiB of memory"),
+        ("trainer.devices=3 trainer.accelerator=cpu", "the split 'val' has 1 frame for 3 devices"),
         ("trainer.devices=-1 trainer.accelerator=cpu", "trainer.accelerator=cpu trainer.devices=-1"),
         ("trainer.devices=0 trainer.accelerator=cpu", "trainer.accelerator=cpu trainer.devices=0"),
     ],

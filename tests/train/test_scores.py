@@ -47,6 +47,8 @@ def test_hits_beyond_the_reach_count_for_no_grid():
     assert within_reach(labels, range_m, directions, 51.2).tolist() == [[4, 5, 6]]
     origins = torch.tensor([[[-5.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, -1.0, 0.0]]])
     assert within_reach(labels, range_m, directions[None], 25.6, origins).tolist() == [[4, 0, 6]]
+    nothing = torch.full((1, 3), torch.inf)  # a frame without a scan, beside one with a scan in its batch
+    assert within_reach(torch.full_like(labels, 255), nothing, directions, 25.6).tolist() == [[255] * 3]
 
 
 def test_cuboid_and_cylinder_are_judged_on_the_same_rays(batch, spec):

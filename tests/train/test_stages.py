@@ -84,7 +84,9 @@ def test_the_sketch_of_rays_depends_on_their_frames_alone(omni):
         )
     )
     assert rays == geometry
-    assert len({voted, rays, window}) == 3
+    others = ("loss.weights.rays=5", "+loss.voxel.dice._target_=omniocc.loss.Dice")
+    assert rays not in [stage_keys(omni("loss=lidar_rays", other), "data").sketch for other in others]
+    assert len({voted, rays, window, stage_keys(omni(), "data").sketch}) == 4
 
 
 def test_other_data_is_another_result(omni):

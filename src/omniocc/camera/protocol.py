@@ -1,5 +1,6 @@
 """The methods that every camera model has, and checks of camera parameters."""
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 from typing import Protocol, TypeGuard, runtime_checkable
@@ -8,6 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.errors import repr_of
+
+EXPONENTIAL = re.compile(r"[-+]?[0-9]{1,20}e[-+]?[0-9]{1,3}", re.IGNORECASE)
 
 
 @runtime_checkable
@@ -49,7 +52,12 @@ def is_finite(value: object) -> TypeGuard[int | float]:
 
 
 def finite(name: str, value: object) -> float:
-    """Return `value` as a float; raise ValueError unless it is a finite number."""
+    """Return `value` as a float; raise ValueError unless it is a finite number, or a text like 1e-05.
+
+    YAML 1.1 takes such a number for a text, and Python prints small numbers so.
+    """
+    if isinstance(value, str) and EXPONENTIAL.fullmatch(value):
+        value = float(value)
     if not is_finite(value):
         raise ValueError(f"{name} is {repr_of(value)}; it must be a finite number")
     return float(value)

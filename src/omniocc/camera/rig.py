@@ -294,10 +294,10 @@ def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
 def _read_entry(files: Sequence[Path], name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
     file = files[-1]
     with naming(f"{file}: camera '{name}'"):
-        camera = _read_camera(files, mapping(entry, "its entry"))
+        camera, mask = _read_camera(files, mapping(entry, "its entry"))
         pose = _read_pose(entry["ego_from_camera"])
-        if "mask" not in entry:
-            return camera, pose, None
+        if entry.get("mask") is None:
+            return camera, pose, mask
         return camera, pose, read_mask_of("mask", file.parent / str(entry["mask"]), camera)
 
 
@@ -311,7 +311,8 @@ def _find(path: str | PathLike[str]) -> Path:
     return Path(path)
 
 
-def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
+def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> tuple[Camera, Mask | None]:
+    """Return the lens of an entry, and the mask that the file of another tool has for it."""
     if "calibration" in entry:
         _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
         file = files[-1].parent / str(entry["calibration"])
@@ -319,10 +320,10 @@ def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
             raise ValueError(f"calibration {file} does not exist, or is a device or pipe")
         if file.resolve() in [other.resolve() for other in files]:
             raise ValueError(f"calibration {file} leads back to itself; name a file with lens and size of the image")
-        cameras = read_rig(file, files).cameras
-        if len(cameras) != 1:
-            raise ValueError(f"calibration {entry['calibration']} holds {len(cameras)} cameras; it must be one")
-        return cameras[0]
+        found = read_rig(file, files)
+        if len(found.cameras) != 1:
+            raise ValueError(f"calibration {entry['calibration']} holds {len(found.cameras)} cameras; it must be one")
+        return found.cameras[0], None if found.masks is None else found.masks[0]
     if "model" not in entry:
         raise ValueError(f"it has neither a model ({', '.join(MODELS)}) nor a calibration, the file of another tool")
     name = entry["model"]
@@ -331,7 +332,7 @@ def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
     model = MODELS[name]
     parameters = [field.name for field in dataclasses.fields(model)]
     _check_keys(entry, ["model", *parameters, "ego_from_camera"], ["mask"])
-    return model(**{key: _parameter(key, entry[key]) for key in parameters})
+    return model(**{key: _parameter(key, entry[key]) for key in parameters}), None
 
 
 def _parameter(key: str, value: Any) -> Any:

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from omniocc.config import check_root
 from omniocc.parallel import usable_cores
 from omniocc.parts import Parts
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries, train_config
@@ -20,7 +21,8 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_intermixed_args(arguments)
     if min(options.frames, options.workers) < 0:
         parser.error("--frames and --workers must be 0 or more")
-    parts = Parts(train_config(options.overrides))
+    check_root(cfg := train_config(options.overrides))
+    parts = Parts(cfg)
     from omniocc.check import read_back
 
     quiet_libraries()

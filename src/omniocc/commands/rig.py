@@ -25,7 +25,8 @@ def show(cfg: DictConfig) -> None:
 
     quiet_libraries()
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else cfg.images
-    show_rig(cfg.rig, images, Path(cfg.output), [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
+    excluded = [cfg.exclude_cameras] if isinstance(cfg.exclude_cameras, str) else map(str, cfg.exclude_cameras)
+    show_rig(cfg.rig, images, Path(cfg.output), list(excluded), cfg.image_bits)
 
 
 COMMANDS = {"new": new, "show": show}

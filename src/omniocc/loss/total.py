@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Float32, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.bounds import Weight
-from omniocc.classes import UNKNOWN
+from omniocc.classes import FREE, UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import downsample
 from omniocc.loss.lidar_rays import Rays, RayWindow
@@ -200,5 +200,11 @@ class RayLoss(TotalLoss):
 def labels_of_blocks(voxels: UInt8[Tensor, "B X Y Z"], block: int, num_classes: int) -> UInt8[Tensor, "B x y z"]:
     """Return the classes of blocks of `block` cells along each axis; those at the upper ends may be smaller."""
     missing = [-size % block for size in reversed(voxels.shape[1:])]
-    padded = F.pad(voxels, [cells for size in missing for cells in (0, size)], value=UNKNOWN)
-    return downsample(padded, block, num_classes)
+    padding = [cells for size in missing for cells in (0, size)]
+
+    def count(cells: Bool[Tensor, "B X Y Z"]) -> Float[Tensor, "B x y z"]:
+        return F.avg_pool3d(F.pad(cells.float(), padding).unsqueeze(1), block).squeeze(1) * block**3
+
+    joined = downsample(F.pad(voxels, padding, value=FREE), block, num_classes)
+    unknown = 2 * count(voxels == UNKNOWN) > count(torch.ones_like(voxels, dtype=torch.bool)) + 0.5  # of real cells
+    return joined.masked_fill((joined == FREE) & unknown, UNKNOWN)

@@ -45,6 +45,8 @@ def predict_panoramas(
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
     bag = bag_path(cfg.write_bag, bags)
+    if isinstance(cfg.exclude_cameras, str):
+        cfg.exclude_cameras = [cfg.exclude_cameras]
     given = OwnImages(*(_plain(cfg[key]) for key in OwnImages._fields))
     with own_images(given, bags and bags.read) as sequence:
         rig = sequence.rig

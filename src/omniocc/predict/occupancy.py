@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
 from omniocc.config import as_options
 from omniocc.data.source import Ignore
+from omniocc.data.store.files import is_url
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
@@ -195,7 +196,7 @@ def facts_of(
         more["topics"] = dict(own.topics)
     return {
         "checkpoint": sha256(Path(options.checkpoint))[:16],
-        "images": str(options.recorded if own is None else options.images),
+        "images": places_of(options.recorded if own is None else options.images),
         "rig": None if own is None else own.rig.fingerprint[:16],
         "poses": None if own is None else pose_digest(own.world_from_ego),
         "history": history,
@@ -204,6 +205,13 @@ def facts_of(
         "ignore": None if own is not None else ignore,
         **more,
     }
+
+
+def places_of(given: str | Sequence[str] | None) -> str:
+    """Return the files or folders that were given, wherever the command runs."""
+    if isinstance(given, str):
+        return given if is_url(given) else str(Path(given).resolve())
+    return str([places_of(one) for one in given or ()])
 
 
 def announcement(

@@ -1,5 +1,6 @@
 """The command `rig.py`: a rig file to begin with, and a rig drawn and checked before anything is predicted."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -34,7 +35,8 @@ def write_rig_file(lens: str, cameras: int, file: Path, force: bool) -> None:
     if file.exists() and not force:
         raise UserError(f"file={file}: it is there already; choose another name, or replace it by force=true")
     atomic_write(file, text)
-    print(f"rig       {file}: put in your numbers, then: python src/rig.py show {file} images=<folder of images>")
+    show = f"python src/rig.py show {shlex.quote(str(file))} images=<folder of images>"
+    print(f"rig       {file}: put in your numbers, then: {show}")
 
 
 def show_rig(

@@ -79,7 +79,9 @@ class FinishedRun(NamedTuple):
 
 
 def read_runs(folder: Path) -> list[FinishedRun]:
-    """Return finished runs by falling RayIoU; damaged ones are left out with a warning that names the file.
+    """Return finished runs by falling RayIoU, unknown ones last.
+
+    Damaged ones are left out with a warning that names the file.
 
     Raises:
         UserError: when there is none.
@@ -94,7 +96,7 @@ def read_runs(folder: Path) -> list[FinishedRun]:
             progress.advance()
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
-    return sorted(runs, key=lambda run: -run.metrics[RAY_IOU])
+    return sorted(runs, key=lambda run: (math.isnan(run.metrics[RAY_IOU]), -run.metrics[RAY_IOU]))
 
 
 def _read(folder: Path) -> FinishedRun:

@@ -15,6 +15,7 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
+from omniocc.model.occupancy import labels_of
 from omniocc.model.ops.evidence import LOG_ODDS
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.progress import Progress
@@ -43,7 +44,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     data.set_needs(needs, needs)
     data.setup()
     loader, task = data.val_dataloader(), task.eval()
-    found = Audit(task.model.geometry, data.spec)
+    found = Audit(task.model.geometry, data.spec, task.occupied_above)
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:
             logits = task.predict(batch).logits
@@ -63,11 +64,12 @@ class Audit(nn.Module):
     Args:
         geometry: grid of the predictions.
         spec: of the data: classes, bands and LiDAR rays of the scores.
+        occupied_above: the rule of the labels, as in `labels_of`.
     """
 
-    def __init__(self, geometry: Grid, spec: SourceSpec):
+    def __init__(self, geometry: Grid, spec: SourceSpec, occupied_above: float | None = None):
         super().__init__()
-        self.geometry = geometry
+        self.geometry, self.occupied_above = geometry, occupied_above
         self.model, self.true_geometry, self.true_classes = (Scores(geometry, spec) for _ in range(3))
         self.overlap = Overlap()
         self.sketch_overlaps = [Overlap() for _ in THRESHOLDS]
@@ -77,7 +79,7 @@ class Audit(nn.Module):
     def update(self, logits: Float[Tensor, "B K X Y Z"], sketched: Sketched, batch: Batch) -> None:
         """Add the predictions for a batch that has true voxels; `sketched` is that of the newest frames."""
         assert batch.voxels is not None
-        truth, labels = batch.voxels, logits.argmax(1).to(torch.uint8)
+        truth, labels = batch.voxels, labels_of(logits, self.occupied_above)
         known = truth != UNKNOWN
         self.model.update(labels, batch)
         self.true_geometry.update(with_true_geometry(logits, truth), batch)

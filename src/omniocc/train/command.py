@@ -87,9 +87,13 @@ def check_frames(stages: Sequence[Stage], source: SceneSource) -> None:
         UserError: naming the split or the stage.
     """
     trainer, frames = stages[0].parts.trainer(), training_frames(source)
+    devices = trainer.num_devices * trainer.num_nodes
     for split in ("val", "test"):
-        if not frames_in(source, split):
+        if not (count := frames_in(source, split)):
             raise UserError(f"the split '{split}' has no frames, but every stage is scored on it: give it scenes")
+        if count < devices:
+            frames_of = f"{count} frame{'s' * (count > 1)} for {devices} devices"
+            raise UserError(f"the split '{split}' has {frames_of}, and each device needs one: give it more scenes")
     for stage in stages:
         amount, key = stage.amount(frames, trainer), f"stages.{stage.NAME}.batch_size"
         if stage.learns and stage.recipe.max_steps and not amount.batches:

@@ -30,13 +30,14 @@ def within_reach(
 ) -> UInt8[Tensor, "B R"]:
     """Return the classes of hits, free where the hit is `reach_m` or more away from the ego z axis.
 
+    Rays without a hit keep their label: those of frames without a scan, which a batch pads, are unknown.
     Only the corners of a cuboid reach farther; without them, grids of any shape are scored on the same rays.
     """
     if origins is None:
         distance_m = range_m * directions[..., :2].norm(dim=-1)
     else:
         distance_m = (origins + range_m.unsqueeze(-1) * directions)[..., :2].norm(dim=-1)
-    return labels.masked_fill(distance_m >= reach_m, FREE)
+    return labels.masked_fill((distance_m >= reach_m) & range_m.isfinite(), FREE)
 
 
 def cells_between(grid: Grid, x_m: tuple[float, float], y_m: tuple[float, float]) -> Bool[Tensor, "1 X Y Z"]:

@@ -76,9 +76,12 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     )
     network = _without(sketch, selection)
     labels = config["data"]["ignore"]
-    code = foreign_code([network, stages["sketch"]])
-    loss = config["loss"]
-    rays = [sorted(loss["rays"]["frames"]), loss["lidar"]] if loss.get("rays") else []
+    loss, rays = config["loss"], []
+    terms = loss["lidar"] if loss.get("rays") else {}
+    if loss.get("rays"):
+        voxels = any(loss.get(part) for part in ("voxel", "run", "coarse"))  # labels of these train the sketch, too
+        rays = [sorted(loss["rays"]["frames"]), terms, {name: loss["weights"][name] for name in terms}, voxels]
+    code = foreign_code([network, stages["sketch"], terms])
     recipe = [stages["sketch"], trainer, labels, *rays]
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, *recipe, *code])
     arguments = {name: sketch[name] for name in selection}

@@ -120,8 +120,11 @@ def test_resized_sees_the_same_ray_at_the_scaled_pixel():
     pixels = torch.rand(50, 2, dtype=torch.float64) * torch.tensor([511.0, 287.0])
     rays, _ = NARROW.unproject(pixels)
     torch.testing.assert_close(small.unproject((pixels + 0.5) / 2 - 0.5)[0], rays, rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match=r"aspect ratio.*256x144"):
-        NARROW.resized(256, 150)
+    stretched, (rays, valid) = NARROW.resized(256, 150), NARROW.unproject(pixels)
+    moved = (pixels + 0.5) * torch.tensor([256 / 512, 150 / 288], dtype=torch.float64) - 0.5
+    found, still = stretched.unproject(moved)
+    assert torch.equal(still, valid)
+    torch.testing.assert_close(found[valid], rays[valid], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

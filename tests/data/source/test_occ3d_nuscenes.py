@@ -57,6 +57,7 @@ def test_it_keeps_the_contracts_and_splits_as_published(root):
         "val": ["scene-0002"],
         "test": ["scene-0003"],
     }
+    assert source.fingerprint != source_of(root, val_every=3).fingerprint
     scene = source.scenes("test")[0]
     assert isinstance(scene, SceneFrames)
     assert isinstance(source.labels(GRID, "none"), VoxelLabels)

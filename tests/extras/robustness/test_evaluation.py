@@ -174,6 +174,9 @@ def test_scores_without_each_scene_are_those_of_the_others(make_task, spec):
     assert without["voxel/miou"] == [round(value, DIGITS) for value in expected]
     assert "lidar/rayiou" not in whole
     assert with_each_left_out([scores(1)])[1]["rayiou"] == []
+    without = with_each_left_out([scores(1), Scores(geometry, spec)])[1]  # the second scene has no labels
+    assert math.isnan(without["rayiou"][0])
+    assert without["rayiou"][1] == round(float(scores(1).compute()["rayiou"]), DIGITS)
 
 
 def world_test(smoke, spec, trained, *overrides, scenes=8):

@@ -35,6 +35,11 @@ def test_folders_are_frames_in_the_order_of_their_names(tmp_path):
     frames = find_frames(str(tmp_path), RIG)
     assert [frame.name for frame in frames] == ["0002", "0010"]
     assert frames[1].files == (tmp_path / "0010/front.png", tmp_path / "0010/back.png")
+    save(tmp_path / ".thumbnails" / "a.png")
+    assert len(find_frames(str(tmp_path), RIG)) == 2
+    save(tmp_path / "front.png")  # the mask of a rig file that lies here
+    with pytest.raises(UserError, match=r"named as cameras, and folders of such images \(0002\)"):
+        find_frames(str(tmp_path), RIG)
 
 
 def test_a_folder_of_each_camera_holds_the_frames(tmp_path):
@@ -188,16 +193,24 @@ def test_sizes_keep_the_aspect_ratio_where_possible():
         ((1920, 1080), 1024, (1024, 576)),
         ((1283, 961), 512, (512, 384)),
         ((1283, 961), 1283, (1282, 960)),
+        ((848, 800), 198, (198, 186)),  # 106x100 would have a quarter of the pixels
     ):
         camera = KannalaBrandt(*size, (300.0, 300.0), (size[0] / 2, size[1] / 2), (0.0,) * 4, 90.0)
         assert even_size(camera, width) == expected
 
 
-def test_lenses_that_cannot_be_stretched_are_named():
+def test_lenses_with_one_focal_length_are_stretched_to_the_size_of_the_first():
     square = Equidistant(64, 64, 19.0, (31.5, 31.5), 95.0)
     rig = Rig((CAMERAS[0], square), RIG.ego_from_camera, RIG.names)
-    with pytest.raises(UserError, match="one size"):
-        resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, rig, 64)
+    _, scaled = resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, rig, 64)
+    pixel, ray = torch.tensor([40.0, 20.0]), square.unproject(torch.tensor([40.0, 20.5 * 64 / 36 - 0.5]))[0]
+    torch.testing.assert_close(scaled.cameras[1].unproject(pixel)[0], ray)
+
+
+@pytest.mark.parametrize("width", [0, -5, 32.5, True, "wide"])
+def test_widths_that_cannot_be_are_named(width):
+    with pytest.raises(UserError, match=f"image_width={width}: give a whole number of px, 16 or more"):
+        resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, RIG, width)
 
 
 def test_images_are_not_turned_and_have_their_true_depth(tmp_path):

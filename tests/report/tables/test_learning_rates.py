@@ -1,6 +1,7 @@
 """The learning rate of each system, chosen among equally many tries."""
 
 import csv
+import math
 
 import pytest
 
@@ -44,6 +45,8 @@ def test_systems_are_told_by_everything_but_the_rate():
 
 
 def test_a_later_key_that_is_null_tells_no_runs_apart_and_one_that_is_set_does():
+    unknown = [run("mono_001", 0.001, 0, math.nan, layers=4), run("mono_01", 0.01, 0, math.nan, layers=4)]
+    assert tuned_systems(unknown) == []
     later = [run("ours_01", 0.01, 0, 0.35), run("ours_01", 0.01, 0, 0.35)]
     for member, value in zip(later, (None, 2), strict=True):
         member.config["model"]["heads"] = value

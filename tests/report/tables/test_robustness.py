@@ -55,6 +55,8 @@ def test_the_verdict_names_who_loses_least():
     assert verdict([OURS, OTHER]) == "ours loses least: 25.0 % in the mean over kinds."
     assert verdict([OURS]) == "ours loses least: 30.0 % in the mean over kinds."
     assert verdict([OURS, OTHER._replace(parts=OTHER.parts[:1])]) == ""
+    nothing = record("mono-12345678", 0.0, 0.0, {180: 0.0})  # it has nothing to lose
+    assert verdict([nothing, OURS, OTHER]) == verdict([OURS, OTHER, nothing]) == verdict([OURS, OTHER])
 
 
 def test_every_disturbance_has_a_line_with_the_standard_error():

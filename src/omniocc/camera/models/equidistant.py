@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.ops.angle import rays_at_radius, theta_over_radius
 from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.protocol import angle_from_axis, check_fields, pair, positive, scaled_center
@@ -46,13 +47,11 @@ class Equidistant:
         valid = angles.square().sum(-1) <= math.radians(self.max_angle_deg) ** 2
         return rays_at_radius(angles, lambda theta: theta), valid
 
-    def resized(self, width: int, height: int) -> "Equidistant":
-        """See `Camera.resized`; raises ValueError if the aspect ratio changes, as the model has one focal length."""
+    def resized(self, width: int, height: int) -> "Equidistant | KannalaBrandt":
+        """See `Camera.resized`; pixels that are no squares any more need the two focal lengths of `KannalaBrandt`."""
         scale_x, scale_y = width / self.width, height / self.height
-        if not math.isclose(scale_x, scale_y, rel_tol=1e-9):
-            raise ValueError(
-                f"an equidistant image of {self.width}x{self.height} cannot become {width}x{height}: "
-                f"keep the aspect ratio, e.g. {width}x{round(width * self.height / self.width)}"
-            )
         center = scaled_center(self.center_px, scale_x, scale_y)
+        if not math.isclose(scale_x, scale_y, rel_tol=1e-9):
+            focal_px = (self.focal_px * scale_x, self.focal_px * scale_y)
+            return KannalaBrandt(width, height, focal_px, center, (0.0, 0.0, 0.0, 0.0), self.max_angle_deg)
         return replace(self, width=width, height=height, focal_px=self.focal_px * scale_x, center_px=center)

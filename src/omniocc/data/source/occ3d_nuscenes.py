@@ -153,8 +153,9 @@ class Occ3DNuScenes:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the scenes, the sizes of images and panoramas, and the option `ego_motion`."""
-        return digest([self.version, self.index.fingerprint, self.image_width, repr(self.panorama), self.ego_motion])
+        """Return a hash of the scenes, their splits, the sizes of images and panoramas, and `ego_motion`."""
+        options = [self.image_width, repr(self.panorama), self.ego_motion, self.val_every]
+        return digest([self.version, self.index.fingerprint, *options])
 
     def prepare(self) -> None:
         """Build the index from the tables if it is missing: once, some minutes for all of nuScenes.

@@ -1,5 +1,6 @@
 """The robustness test of one checkpoint: every part is scored on the same scenes, and written when it is finished."""
 
+import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -86,7 +87,7 @@ def robustness_of(
     for line in left_out:
         print(f"left out: {line}", flush=True)
     scored = test.run(parts, every, folder)
-    setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed])
+    setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed, *test.unusual_overrides()])
     facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device)}
     facts |= {"checkpoint": checkpoint.path.name, "seed": seed, "setting": setting, "left out": left_out}
     return Robustness(system_name(checkpoint.path), facts, scored)
@@ -205,10 +206,11 @@ class RobustnessTest:
         return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.unusual_overrides()])
 
     def unusual_overrides(self) -> list[Any]:
-        """Return what is overridden besides the source and changes scores: unknown cells, the history, the bands."""
+        """Return what is overridden besides the source and changes scores: unknown cells, history, bands, rays."""
         found, bands = [self.data.ignore, self.data.window], self.data.range_edges_m
         usual = found == ["none", self.task.model.temporal.frames]
-        return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)])
+        rays = [] if self.data.ray_azimuths is None else [["rays", self.data.ray_azimuths]]
+        return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)]) + rays
 
     @torch.inference_mode()
     def score(self, part: Part, source: SceneSource, advance: Callable[[], None]) -> PartScores:
@@ -245,10 +247,13 @@ def check_depth(task: OccupancyTask) -> None:
 
 
 def with_each_left_out(scores: Sequence[Scores]) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """Return the figures over all scenes, and over all but each of them, by key; nothing for a single scene."""
+    """Return the figures over all scenes, and over all but each of them, by key; nothing for a single scene.
+
+    A figure is nan where the scenes that are left have no labels for it.
+    """
     whole = figures(merged(scores))
     rest = [figures(merged([*scores[:k], *scores[k + 1 :]])) for k in range(len(scores))] if len(scores) > 1 else []
-    return whole, {key: [one[key] for one in rest] for key in whole}
+    return whole, {key: [one.get(key, math.nan) for one in rest] for key in whole}
 
 
 def merged(scores: Sequence[Scores]) -> Scores:

@@ -17,7 +17,7 @@ from omniocc.extras.viewer.options import ViewOptions
 from omniocc.extras.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes
 from omniocc.geometry import Grid
 from omniocc.metric import sparseocc_directions
-from omniocc.predict.input.images import FrameFiles, find_frames, read_frame
+from omniocc.predict.input.images import FrameFiles, find_frames, natural_key, read_frame
 from omniocc.predict.input.own import is_bag
 from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
@@ -63,7 +63,11 @@ def open_predictions(options: ViewOptions) -> Shown:
 def predicted_frames(folder: Path) -> dict[str, list[str]]:
     """Return the names of the predicted frames by scene; the scene of a user's own images has no name."""
     found: dict[str, list[str]] = {}
-    for path in sorted(folder.rglob(VOXELS)):
+
+    def in_order(path: Path) -> list[list[tuple[int, str]]]:
+        return [natural_key(Path(part)) for part in path.relative_to(folder).parts]
+
+    for path in sorted(folder.rglob(VOXELS), key=in_order):
         *scene, name = path.parent.relative_to(folder).parts or ("",)
         found.setdefault("/".join(scene), []).append(name)
     if not found:

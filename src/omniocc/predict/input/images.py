@@ -64,8 +64,14 @@ def _match_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]
     if not folder.is_dir():
         hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
         raise UserError(f"images={images}: there is no such folder{hint}")
-    frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_key)
+    folders = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    frames = sorted((path for path in folders if _image_files(path)), key=natural_key)
     of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
+    if of_cameras and (own := [one for one in frames if any(path.stem in rig.names for path in _image_files(one))]):
+        raise UserError(
+            f"{folder} holds images that are named as cameras, and folders of such images ({own[0].name}): give one of "
+            "them as images=..., or move the masks of the rig elsewhere"
+        )
     if of_cameras or not frames:
         return [FrameFiles("", _match_folder(folder, rig, excluded))]
     if {path.name for path in frames} >= set(rig.names) - set(excluded):
@@ -83,7 +89,7 @@ def _by_camera(folder: Path, rig: Rig, excluded: Sequence[str]) -> list[FrameFil
             raise UserError(f"{folder / name}: several images of frame '{stem}'; keep one")
         if lacking := sorted({stem for other in by_stem.values() for stem in other} - set(stems)):
             raise UserError(f"{folder / name}: no image of frame '{lacking[0]}', which other cameras have")
-    frames = sorted(next(iter(found.values())), key=_natural_key)
+    frames = sorted(next(iter(found.values())), key=natural_key)
     return [
         FrameFiles(path.stem, tuple(by_stem[name][path.stem] if name in found else None for name in rig.names))
         for path in frames
@@ -104,7 +110,7 @@ def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
         raise UserError("every camera is excluded; keep at least one")
 
 
-def _natural_key(path: Path) -> list[tuple[int, str]]:
+def natural_key(path: Path) -> list[tuple[int, str]]:
     """Return the sorting key that orders names by the numbers in them: 9 before 10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
@@ -232,26 +238,31 @@ def resized_to_width(
             the height, by the first camera's aspect ratio.
 
     Raises:
-        UserError: when a camera with a single focal length would have to be stretched.
+        UserError: when the width is no whole number of px, or too small for an image.
     """
+    if width is not None and (isinstance(width, bool) or not isinstance(width, int) or width < LEAST_PX):
+        raise UserError(f"image_width={width}: give a whole number of px, {LEAST_PX} or more")
     size = even_size(rig.cameras[0], rig.cameras[0].width if width is None else width)
-    try:
-        scaled_rig = rig.resized(*size)
-    except ValueError as error:
-        raise UserError(f"the rig's cameras cannot be brought to one size: {error}") from error
+    scaled_rig = rig.resized(*size)
     batch = torch.from_numpy(np.stack([scaled_to(image, size) for image in images]))
     return batch.permute(0, 3, 1, 2).unsqueeze(0).float() / 255, scaled_rig
+
+
+LEAST_PX = 16
+LEAST_WIDTH = 0.9
+"""Least share of the wanted width: below it the pixels may rather differ a little from squares."""
 
 
 def even_size(camera: Camera, width: int) -> tuple[int, int]:
     """Return an even width near `width` and an even height, px.
 
-    They have exactly the camera's aspect ratio, unless the smallest such size is already wider than `width`.
+    They have exactly the camera's aspect ratio where such a size is at most a tenth narrower than `width`.
     """
     divisor = math.gcd(camera.width, camera.height)
     smallest = camera.width // divisor, camera.height // divisor
     if smallest[0] % 2 or smallest[1] % 2:
         smallest = 2 * smallest[0], 2 * smallest[1]
-    if smallest[0] <= width:
-        return smallest[0] * (width // smallest[0]), smallest[1] * (width // smallest[0])
+    times = width // smallest[0]
+    if smallest[0] * times >= LEAST_WIDTH * width:
+        return smallest[0] * times, smallest[1] * times
     return max(2, width // 2 * 2), max(2, 2 * round(width * camera.height / camera.width / 2))

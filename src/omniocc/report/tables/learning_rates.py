@@ -1,5 +1,6 @@
 """The learning rate of each system, chosen on validation scenes among equally many."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -36,7 +37,7 @@ def tuned_systems(runs: Sequence[FinishedRun]) -> list[TunedSystem]:
     for run in sorted(runs, key=lambda run: run.name):
         settings = given_values(run.config)
         rate = settings.get(RATE_KEYS[0])
-        if rate is not None and SCORE in run.metrics:
+        if rate is not None and not math.isnan(run.metrics.get(SCORE, math.nan)):
             rest = {key: value for key, value in settings.items() if key not in RATE_KEYS}
             key = repr([sorted(rest.items()), run.facts.get("data")])
             groups.setdefault(key, {}).setdefault(float(rate), {})[run.facts.get("seed")] = run

@@ -85,7 +85,7 @@ def verdict(records: Sequence[Robustness]) -> str:
     means = {
         name: mean_drop(drops_by_kind(one, parts)) for name, one in zip(system_names(records), records, strict=True)
     }
-    name = min(means, key=lambda name: means[name])
+    name = min(means, key=lambda name: (math.isnan(means[name]), means[name]))
     return f"{name} loses least: {_percent(means[name])} % in the mean over kinds." if parts else ""
 
 
