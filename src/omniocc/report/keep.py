@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omniocc.io import atomic_write
-from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.report.runs import TRAINING, VALIDATION, FinishedRun, read_runs
 from omniocc.report.selection import best_of, preference
-from omniocc.runs.curves import CURVES
+from omniocc.report.tables.formats import csv_text
+from omniocc.runs.curves import CURVES, read_rows
 from omniocc.runs.results import FROM_TRAJECTORY, METRICS
 from omniocc.runs.robustness import TESTS
 from omniocc.runs.scenes import SCENES
@@ -49,10 +50,18 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
             shutil.rmtree(copy)
         for pattern in KEPT:
             for path in run.folder.glob(pattern):
-                atomic_write(copy / path.relative_to(run.folder), path.read_bytes())
+                content = drawn_curves(path) if pattern == CURVES else path.read_bytes()
+                atomic_write(copy / path.relative_to(run.folder), content)
     for path in replaced(read_runs(folder), finished):
         shutil.rmtree(path)
     return [*(folder / run.name for run in finished), *kept]
+
+
+def drawn_curves(path: Path) -> str:
+    """Return a CSV file of a run's curves with the columns alone that reports draw, from its first line on."""
+    columns = ("step", TRAINING, VALIDATION)
+    rows = [[row.get(key, "") for key in columns] for row in read_rows(path)]
+    return csv_text(columns, [row for number, row in enumerate(rows) if number == 0 or any(row[1:])])
 
 
 def _figures(run: Path) -> bytes:
