@@ -174,11 +174,11 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
     """Return a line on the number of frames and their times.
 
     Raises:
-        UserError: if it is one frame, or the median time between frames is implausible for the cameras of a car.
+        UserError: if the median time between frames is implausible for the cameras of a car.
     """
     count = len(plan.times_s)
     if count < 2:
-        raise UserError(f"{place}: only one frame is complete; a scene needs two or more")
+        return ["1 frame"]
     step_s = float(np.median(np.diff(plan.times_s)))
     if not SHORTEST_S <= step_s <= LONGEST_S:
         raise UserError(
