@@ -256,7 +256,7 @@ def test_files_of_one_folder_are_of_one_checkpoint_split_and_dataset(smoke, occ3
     assert {file.name: file.stat().st_mtime_ns for file in output.glob("*.npz")} == first
     with pytest.raises(UserError, match=r"made with split=test \(now val\)"):
         predict("val")
-    with pytest.raises(UserError, match=r"made with changes=\[\] \(now "):
+    with pytest.raises(UserError, match=r"made with other data, changes=\[\] \(now "):
         predict(changes=["data.source.val_every=3"])
     predict("val", force=True)
     assert not first.keys() & {file.name for file in output.glob("*.npz")}
