@@ -64,7 +64,7 @@ class Audit(nn.Module):
     Args:
         geometry: grid of the predictions.
         spec: of the data: classes, bands and LiDAR rays of the scores.
-        occupied_above: the rule of the labels, as in `labels_of`.
+        occupied_above: probability above which a cell is occupied; None: it has its most likely class.
     """
 
     def __init__(self, geometry: Grid, spec: SourceSpec, occupied_above: float | None = None):

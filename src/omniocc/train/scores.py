@@ -30,7 +30,7 @@ def within_reach(
 ) -> UInt8[Tensor, "B R"]:
     """Return the classes of hits, free where the hit is `reach_m` or more away from the ego z axis.
 
-    Rays without a hit keep their label: those of frames without a scan, which a batch pads, are unknown.
+    A ray with an infinite range keeps its label. A batch pads a frame without a scan with such rays, labelled unknown.
     Only the corners of a cuboid reach farther; without them, grids of any shape are scored on the same rays.
     """
     if origins is None:

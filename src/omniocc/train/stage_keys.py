@@ -76,9 +76,9 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     )
     network = _without(sketch, selection)
     labels = config["data"]["ignore"]
-    loss, rays = config["loss"], []
-    terms = loss["lidar"] if loss.get("rays") else {}
+    loss, rays, terms = config["loss"], [], {}
     if loss.get("rays"):
+        terms = loss["lidar"]
         voxels = any(loss.get(part) for part in ("voxel", "run", "coarse"))  # labels of these train the sketch, too
         rays = [sorted(loss["rays"]["frames"]), terms, {name: loss["weights"][name] for name in terms}, voxels]
     code = foreign_code([network, stages["sketch"], terms])

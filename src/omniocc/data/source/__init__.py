@@ -283,9 +283,10 @@ class SceneSource(Protocol):
 
 @runtime_checkable
 class MadeScenes(Protocol):
-    """What a source further has that makes its scenes when they are asked for: their plans are known before.
+    """The further methods of a source that renders its scenes on demand and knows their cameras and lengths before.
 
-    A protocol of its own: `isinstance` evaluates properties before Python 3.12, and those of `SceneSource` read files.
+    It does not inherit `SceneSource`: before Python 3.12 `isinstance` reads every property of a protocol, and the
+    properties of `SceneSource` read files that `prepare` has yet to make.
     """
 
     @property

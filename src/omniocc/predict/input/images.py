@@ -250,7 +250,7 @@ def resized_to_width(
 
 LEAST_PX = 16
 LEAST_WIDTH = 0.9
-"""Least share of the wanted width: below it the pixels may rather differ a little from squares."""
+"""Smallest fraction of the wanted width at which the exact aspect ratio is kept; below it the ratio is rounded."""
 
 
 def even_size(camera: Camera, width: int) -> tuple[int, int]:

@@ -17,9 +17,9 @@ HEAD = ["Method", "M parameters", "GFLOP a frame", "Steps of depth", "Steps of s
 HEAD += ["Steps in all", "Samples a step", "Minutes of occupancy", "Minutes in all", "Peak MiB"]
 TITLE = "Budget"
 NOTE = (
-    "The depth network estimates ranges. The sketch network estimates which voxels are occupied. The occupancy "
-    "network, trained last, gives every voxel its class. Parameters and operations are the sum over all networks of "
-    "the model. Memory is that of occupancy training alone. "
+    "The depth network estimates ranges. The sketch network selects candidate voxels. The occupancy network is "
+    "trained last and gives every voxel a class. Parameters and operations are the sum over all networks of the "
+    "model. Peak memory is measured during occupancy training. "
     "Minutes in all add the training of depth and sketch, also where several models use the same trained ones. "
     "Minutes are means over seeds."
 )
