@@ -4,9 +4,14 @@ import shutil
 
 import numpy as np
 import pytest
+from fake_scene import FakeWorld
 from nuscenes_files import write_nuscenes
 from scripts import run_script
 
+from omniocc.check import read_back
+from omniocc.data import OccupancyData
+from omniocc.errors import UserError
+from omniocc.geometry import Cylinder
 from omniocc.runs.results import load_results
 
 SMALL = ("data=occ3d_nuscenes", "data.source.val_every=2", "preset=smoke")
@@ -46,6 +51,13 @@ def test_all_problems_are_listed_at_once_each_in_a_line(root):
     assert "3 problems" in result.stderr
     first = check(root, "--frames", "1")
     assert "1 problem" in first.stderr, first.stdout
+
+
+def test_cells_that_a_source_cannot_know_are_refused(tmp_path):
+    grid = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
+    data = OccupancyData(FakeWorld(tmp_path), 12, grid, 1, 2, 0, 0, ignore="unseen")
+    with pytest.raises(UserError, match="data.ignore=unseen: choose none or unobserved"):
+        read_back(data, 0, 0, None)
 
 
 def test_a_wrong_root_is_one_line(tmp_path):

@@ -1,11 +1,15 @@
 """The command line of evaluate.py."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from omniocc import evaluate as module
 from omniocc.commands.evaluate import main, parser_of
-from omniocc.evaluate import Evaluation, results_folder
+from omniocc.errors import UserError
+from omniocc.evaluate import Evaluation, results_folder, score_checkpoint
+from omniocc.predict import load
 from omniocc.runs.weights import SHIPPED
 
 
@@ -64,3 +68,28 @@ def test_what_does_not_go_together_is_refused(words, message, capsys):
     with pytest.raises(SystemExit):
         main(words)
     assert message in capsys.readouterr().err
+
+
+def test_a_checkpoint_is_scored_at_the_precision_of_its_training(monkeypatch, tmp_path):
+    asked = {}
+
+    class Stop(Exception): ...
+
+    def trainer(**options):
+        asked.update(options)
+        raise Stop
+
+    monkeypatch.setattr(module, "Trainer", trainer)
+    trained = load("tiny", ["data.source.splits={train:1,val:0}", "data.source.themes=[downtown]"])
+    assert trained.config.data.source.splits == {"train": 1, "val": 0}
+    assert trained.config.data.source.themes == ["downtown"]
+    trained.config.trainer.precision = "bf16-mixed"
+    data = SimpleNamespace(num_classes=12, spec=SimpleNamespace(classes=None))
+    data.restrict_to = data.set_ray_origins = lambda _: None
+    scored = SimpleNamespace(task=None, data=data, precision=trained.precision)
+    with pytest.raises(Stop):
+        score_checkpoint(scored, tmp_path / "results", Evaluation([], [], None, None))
+    assert asked["precision"] == "bf16-mixed"
+    trained.config.trainer.precision = "8"
+    with pytest.raises(UserError, match="is damaged: trainer.precision is not one of '32-true'"):
+        _ = trained.precision

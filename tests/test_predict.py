@@ -82,7 +82,7 @@ def test_a_checkpoint_and_a_list_of_images(frames, checkpoint, tmp_path, capsys,
     names = Rig.load("fisheye6").names
     listed = ",".join(str(frames / "0000" / f"{name}.png") for name in names)
     run_here(
-        "rig=fisheye6", f"images=[{listed}]", f"checkpoint={checkpoint}", f"output={tmp_path}", "exclude_cameras=[rear]"
+        "rig=fisheye6", f"images=[{listed}]", f"checkpoint={checkpoint}", f"output={tmp_path}", "exclude_cameras=rear"
     )
     assert "48x12 px" in capsys.readouterr().out
     assert np.load(tmp_path / "range.npz")["range_m"].shape == (12, 48)
@@ -160,6 +160,8 @@ def test_mistakes_are_named(frames, checkpoint, tmp_path, run_here):
         (["rig=fisheye7", frame], ["fisheye7", "fisheye6"]),
         ([*SMALL, f"images={lacking}"], ["'rear'", "exclude_cameras=[rear]"]),
         ([*SMALL, frame, "model/depth=truth"], ["recorded range"]),
+        ([*SMALL, frame, "bev_range_m=0"], ["bev_range_m: 0 is not a number above 0"]),
+        ([*SMALL, frame, "image_width=wide"], ["image_width: 'wide' is not a whole number or null"]),
         ([*SMALL, frame, "+depth.windov_px=3"], ["did you mean 'window_px'"]),
         (["rig=fisheye6", frame, "preset=tiny"], ["preset=tiny", "checkpoint=any-rig", "checkpoint=sweep"]),
         (["rig=fisheye6", frame, f"checkpoint={damaged}"], ["damaged.ckpt"]),

@@ -82,7 +82,7 @@ def test_a_camera_is_left_out(images, tmp_path):
     result = run_script("rig.py", *words, cwd=tmp_path)
     assert result.returncode == 1
     assert "no image of camera 'front'" in result.stderr
-    result = run_script("rig.py", *words, "exclude_cameras=[front]", cwd=tmp_path)
+    result = run_script("rig.py", *words, "exclude_cameras=front", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
 
 
@@ -107,6 +107,12 @@ def test_mistakes_are_named_in_a_line(words, message, tmp_path):
     assert result.stderr.count("\n") == 1
     assert message in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_number_that_is_none_is_named(tmp_path):
+    result = run_script("rig.py", "show", "fisheye6", "image_bits=abc", cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[1:] == ["  image_bits: 'abc' is not a whole number or null"]
 
 
 def test_help_has_examples():

@@ -32,8 +32,12 @@ def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None
         frames: of each scene, evenly spread; 0: all.
         workers: processes that read; 0: none besides this.
         drawn: folder for an image of the first frame of every split; None draws none.
+
+    Raises:
+        UserError: naming an option that does not go with the source.
     """
     data.source.prepare()
+    data.source.labels(data.geometry, data.ignore)  # refuses cells that this source cannot know
     for split in SPLITS:
         scenes = data.source.scenes(split)
         print(f"{split:5}  {len(scenes)} scenes, {sum(map(frames_of, scenes))} frames", flush=True)

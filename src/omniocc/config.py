@@ -173,7 +173,7 @@ def check_root(cfg: DictConfig) -> None:
     if lacking := [group for group in GROUPS if group not in cfg]:
         instead = {"logger": "; logger.mode=disabled leaves the curves in a CSV file alone"}
         raise ConfigError([f"{key}: train.py needs it; leave ~{key} out{instead.get(key, '')}" for key in lacking])
-    problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
+    problems = _wrong_values(cfg, ROOT)
     problems += _options_as_values(cfg)
     more = [] if problems else list(cfg.packages)
     problems += [] if problems else _wrong_names(cfg)
@@ -185,6 +185,20 @@ def check_root(cfg: DictConfig) -> None:
         problems += error.problems
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def check_values(cfg: DictConfig, hints: Mapping[str, Any]) -> None:
+    """Compare plain values at the root of a configuration with their types.
+
+    Raises:
+        ConfigError: with every value that does not fit.
+    """
+    if problems := _wrong_values(cfg, hints):
+        raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def _wrong_values(cfg: DictConfig, hints: Mapping[str, Any]) -> list[str]:
+    return [problem for key, hint in hints.items() for problem in _check_value(cfg, key, "", hint)]
 
 
 def _options_as_values(cfg: DictConfig) -> Iterator[str]:

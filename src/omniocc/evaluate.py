@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from lightning.pytorch import Trainer
-from omegaconf import OmegaConf
 
 from omniocc.classes import OCCUPANCY_CLASSES, ONE_CLASS
 from omniocc.config import check_root
@@ -17,7 +16,7 @@ from omniocc.parts import Parts
 from omniocc.predict.trained import Trained, load
 from omniocc.runs.folder import git_commit
 from omniocc.runs.results import EVALUATION, IMAGES, OVERRIDES, PROTOCOL, save_results, show_results
-from omniocc.runs.script import train_config
+from omniocc.runs.script import read_overrides, train_config
 from omniocc.runs.weights import SHIPPED, find_checkpoint
 from omniocc.train import StepProgress
 from omniocc.train.audit import audit
@@ -117,7 +116,7 @@ def load_with_overrides(checkpoint: Path, overrides: Sequence[str]) -> Trained:
     """Load a checkpoint with overrides; `packages=[...]` among them allows classes of other packages."""
     packages = [word for word in overrides if word.startswith("packages=")]
     changes = [word for word in overrides if word not in packages]
-    return load(checkpoint, changes, OmegaConf.from_dotlist(packages).get("packages", ()))
+    return load(checkpoint, changes, read_overrides(packages).get("packages", ()))
 
 
 def score_each(checkpoints: Iterable[Path], score: Callable[[Path], None]) -> None:
@@ -142,6 +141,7 @@ def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> Non
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.spec.classes)
     trainer = Trainer(
+        precision=trained.precision,  # type: ignore[arg-type]  # the one of the test after training
         callbacks=[StepProgress("occupancy"), images],
         logger=False,
         enable_checkpointing=False,

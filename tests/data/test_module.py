@@ -17,6 +17,7 @@ from omniocc.data.source import BenchmarkFrame
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder, resample
 from omniocc.parts import Parts
+from omniocc.runs.plan import validation_times
 from omniocc.train.scores import Scores, within_reach
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
@@ -113,6 +114,21 @@ def test_a_resumed_run_sees_the_batches_that_were_left(root, tmp_path, length, m
         assert run(root, length, checkpoint=path) == whole[seen:], path.name
 
 
+def test_accumulated_batches_of_a_step_are_of_one_epoch(root, tmp_path):
+    saver = SaveEverywhere(tmp_path, ("validation",))
+    length = {"max_epochs": -1, "max_steps": 5, "accumulate_grad_batches": 3, **validation_times(5, None, None, 3)}
+    whole = run(root, length, callbacks=[saver])  # four batches an epoch, one of which is left out
+    assert len(whole) == 5 * 3
+    assert list(saver.seen.values()) == [3, 6, 9, 12, 15]  # the last validation is at the end of training
+    for path, seen in saver.seen.items():
+        assert run(root, length, checkpoint=path) == whole[seen:], path.name
+    data = make(root)
+    data.setup()
+    data.trainer = Trainer(accelerator="cpu", logger=False, accumulate_grad_batches=5, enable_checkpointing=False)
+    with pytest.raises(UserError, match="8 training samples per process are less than the 10 of a step"):
+        data.train_dataloader()
+
+
 def test_a_resumed_run_with_loader_processes(root, tmp_path):
     saver = SaveEverywhere(tmp_path)
     whole = run(root, {"max_epochs": 2}, callbacks=[saver])
@@ -148,7 +164,7 @@ def test_moving_a_batch_leaves_rigs_alone(root):
 def test_more_than_a_batch_is_needed(root):
     data = make(root, batch_size=9)
     data.setup()
-    with pytest.raises(ValueError, match=r"8 training samples.* 9: .*more scenes"):
+    with pytest.raises(ValueError, match=r"8 training samples.* the 9 of a step: use more scenes"):
         data.train_dataloader()
     with pytest.raises(ValueError, match="got 0, 1 and 0"):
         make(root, batch_size=0)
@@ -263,6 +279,13 @@ def test_ranks_share_an_epoch_without_overlap(world_size):
     assert len(set(together)) == len(together) == 20 // world_size * world_size
     # together the ranks walk through the very order of one process
     assert [sample for samples in zip(*parts, strict=True) for sample in samples] == whole[: len(together)]
+
+
+def test_an_epoch_has_whole_steps():
+    order = epoch(EpochSampler(20, seed=0), 1)
+    assert epoch(EpochSampler(20, seed=0, of_step=6), 1) == order[:18]
+    assert [epoch(EpochSampler(20, 0, rank, 2, of_step=4), 1) for rank in range(2)] == [order[:16:2], order[1:16:2]]
+    assert len(EpochSampler(20, 0, 1, 2, of_step=4)) == 8
 
 
 def test_only_the_interrupted_epoch_is_shortened():

@@ -1,9 +1,10 @@
-"""What a render says about disk before it begins."""
+"""What a render refuses, and says about disk, before it begins."""
 
 from collections import namedtuple
 
 import pytest
 from fake_scene import FakeWorld
+from scripts import run_script
 
 from omniocc.data import DataError
 from omniocc.data.store.shard import SceneWriter
@@ -60,3 +61,13 @@ def test_what_is_there_is_not_counted_again(tmp_path):
 def test_the_nearest_folder_that_is_there(tmp_path):
     assert existing(tmp_path / "a" / "b") == tmp_path
     assert existing(tmp_path) == tmp_path
+
+
+def test_numbers_that_are_none_are_named(tmp_path):
+    result = run_script("render.py", "preset=smoke", "frames=abc", "scenes=2.5", "first_scene=-1", cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.splitlines()[1:] == [
+        "  scenes: 2.5 is not a whole number from 1 to 1,000,000,000 or null",
+        "  frames: 'abc' is not a whole number from 1 to 1,000,000,000 or null",
+        "  first_scene: -1 is not a whole number from 0 to 1,000,000,000",
+    ]

@@ -16,8 +16,9 @@ from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from scripts import run_script
 
+from omniocc.errors import UserError
 from omniocc.runs.results import save_results
-from omniocc.runs.script import accept_lazy_help, explain, line_of, lines_not_tracebacks, nearest
+from omniocc.runs.script import accept_lazy_help, explain, line_of, lines_not_tracebacks, nearest, read_overrides
 
 SRC = Path(__file__).parents[2] / "src"
 
@@ -365,3 +366,21 @@ def test_a_disk_that_a_library_finds_full_or_read_only_has_a_remedy(tmp_path):
     assert line_of(full).startswith(f"cannot write {tmp_path / 'csv'}: the disk is full: free some space, then")
     missing = FileNotFoundError(errno.ENOENT, "No such file", "csv")
     assert line_of(missing) == str(missing)
+
+
+def test_overrides_are_read_as_on_the_command_line():
+    words = ["data.source.splits={train:1,val:0}", "data.source.root=/data of mine/a_b-c.d", "a.b=[1,2]", "a.c=null"]
+    assert read_overrides(words) == {
+        "data.source.splits": {"train": 1, "val": 0},
+        "data.source.root": "/data of mine/a_b-c.d",
+        "a.b": [1, 2],
+        "a.c": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("word", "message"), [("a=[1", r"a=\[1: this cannot be read as key=value"), ("a=1,2", "a=1,2: one value is needed")]
+)
+def test_an_override_that_cannot_be_read_is_named(word, message):
+    with pytest.raises(UserError, match=message):
+        read_overrides([word])

@@ -15,7 +15,11 @@ from omniocc.train.stage_keys import STAGES
     [
         (
             "data.batch_size=4",
-            "data.batch_size=4: there are 3 training frames for 1 device, less than a batch",
+            "data.batch_size=4: there are 3 training frames, less than the 4 of a step on 1 device",
+        ),
+        (
+            "stages.depth.batch_size=1 trainer.accumulate_grad_batches=4",
+            "stages.depth.batch_size=1 trainer.accumulate_grad_batches=4: there are 3 training frames, less than the 4",
         ),
         ("stages.depth.batch_size=1000000", "stages.depth.batch_size=1000000: there are 3 training frames"),
         ("data.source.train_scenes=0", "stages.depth.batch_size=2: there are 0 training frames"),
@@ -28,6 +32,9 @@ from omniocc.train.stage_keys import STAGES
             "stages.sketch.batch_size=2 model.geometry.shape=[1000000, 10",
         ),
         ("depth.panorama.width=65536 depth.panorama.height=65536 stages.depth.batch_size=1000", "GiB of memory"),
+        ("data.seed=5", "data.seed=5 has no effect: the order of samples follows from stages.<stage>.seed"),
+        ("stage=depth weights=tiny", "weights=tiny is for the occupancy stage, which stage=depth leaves out; stages.depth"),
+        ("stage=sketch resume=a.ckpt", "resume=a.ckpt is for the occupancy stage, which stage=sketch leaves out"),
         ("trainer.devices=3 trainer.accelerator=cpu", "the split 'val' has 1 frame for 3 devices"),
         ("trainer.devices=-1 trainer.accelerator=cpu", "trainer.accelerator=cpu trainer.devices=-1"),
         ("trainer.devices=0 trainer.accelerator=cpu", "trainer.accelerator=cpu trainer.devices=0"),

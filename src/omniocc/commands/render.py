@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING, cast
 
 from omegaconf import DictConfig
 
-from omniocc.config import check
+from omniocc.bounds import Number, NumberOrNone
+from omniocc.config import check, check_values
 from omniocc.errors import UserError
 from omniocc.parts import Parts
 from omniocc.runs.script import script
@@ -18,6 +19,7 @@ def main(cfg: DictConfig) -> None:
     """Check the configuration and build the world; then render it, read it back or draw a page."""
     if "frames_per_scene" not in cfg.data.source:
         raise UserError("render.py renders only scenes of the virtual world: leave data=... out")
+    check_values(cfg, dict.fromkeys(("scenes", "frames"), Number | None) | {"first_scene": NumberOrNone})
     check(cfg.data.source)
     from omniworld.command import use_world
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig
 
-from omniocc.config import quoted
+from omniocc.config import check_values, quoted
 from omniocc.runs.script import quiet_libraries, require, script
 
 
@@ -21,12 +21,13 @@ def new(cfg: DictConfig) -> None:
 def show(cfg: DictConfig) -> None:
     """Draw a rig, print a table of its cameras and what is suspicious."""
     require(cfg, ("rig",), "rig.py show")
+    from omniocc.predict.input.images import names_of
     from omniocc.predict.rig_file import show_rig
 
     quiet_libraries()
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else cfg.images
-    excluded = [cfg.exclude_cameras] if isinstance(cfg.exclude_cameras, str) else map(str, cfg.exclude_cameras)
-    show_rig(cfg.rig, images, Path(cfg.output), list(excluded), cfg.image_bits)
+    check_values(cfg, {"image_bits": int | None})
+    show_rig(cfg.rig, images, Path(cfg.output), names_of(cfg.exclude_cameras), cfg.image_bits)
 
 
 COMMANDS = {"new": new, "show": show}

@@ -35,8 +35,8 @@ from rayiou.directions import rays_around
 class EpochSampler(DistributedSampler):
     """The training order, a function of (seed, epoch) only, divided among the ranks; it can begin within an epoch.
 
-    Every rank gets the same number of samples; at most `world_size - 1` are not used in an epoch. `len` is always that
-    of a whole epoch.
+    Every rank gets the same number of samples, in whole steps; the rest of an epoch is left out. `len` is always that of
+    a whole epoch.
 
     Args:
         size: number of samples.
@@ -47,6 +47,7 @@ class EpochSampler(DistributedSampler):
         resume_samples: samples this rank has already seen in it; other epochs are whole.
         scenes: number of samples of each scene, in order; None: all are of one.
         together: samples of one scene that follow one another: what depends on a rig is then computed once for them.
+        of_step: samples of a rank in a step of the optimiser.
     """
 
     def __init__(
@@ -59,9 +60,10 @@ class EpochSampler(DistributedSampler):
         resume_samples: int = 0,
         scenes: Sequence[int] | None = None,
         together: int = 1,
+        of_step: int = 1,
     ):
         super().__init__(range(size), world_size, rank, shuffle=True, seed=seed, drop_last=True)  # type: ignore[arg-type]
-        self.size = size
+        self.length = size // world_size // of_step * of_step
         self.scenes, self.together = tuple(scenes or [size]), together
         self.resume_epoch = resume_epoch
         self.resume_samples = resume_samples
@@ -74,7 +76,7 @@ class EpochSampler(DistributedSampler):
         return iter(samples[self.resume_samples :] if self.epoch == self.resume_epoch else samples)
 
     def __len__(self) -> int:
-        return self.size // self.num_replicas
+        return self.length
 
 
 def shuffled(scenes: Sequence[int], together: int, generator: torch.Generator) -> list[int]:
@@ -303,22 +305,25 @@ class OccupancyData(LightningDataModule):
         return kept_counts(path, shape, lambda: count_rays(scenes, self.geometry, window, self.num_classes))
 
     def train_dataloader(self) -> DataLoader[Batch]:
-        """Return the shuffled loader; the last incomplete batch of an epoch is left out.
+        """Return the shuffled loader; the last incomplete step of an epoch is left out.
+
+        Every step is of one epoch alone: a checkpoint between two epochs would lose gradients that are accumulated.
 
         Raises:
-            UserError: if a process has fewer samples than a batch.
+            UserError: if a process has fewer samples than a step.
         """
         dataset = self.dataset("train")
         done = self._resume["batches"] * self.batch_size
         sizes = [len(scene) for scene in dataset.scenes]
         resume = self._resume["epoch"], done
-        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.samples_per_scene)
-        if len(sampler) < self.batch_size:
+        of_step = self.batch_size * (1 if self.trainer is None else self.trainer.accumulate_grad_batches)
+        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.samples_per_scene, of_step)
+        if not len(sampler):
             raise UserError(
-                f"{len(sampler)} training samples per process are less than one batch of {self.batch_size}: "
-                "use more scenes or a lower data.batch_size"
+                f"{len(dataset) // self._rank()[1]} training samples per process are less than the {of_step} of a "
+                "step: use more scenes, a lower data.batch_size or a lower trainer.accumulate_grad_batches"
             )
-        return self._loader(dataset, sampler, drop_last=True)
+        return self._loader(dataset, sampler)
 
     def val_dataloader(self) -> DataLoader[Batch]:
         """Return the loader in order, every sample once over all ranks."""
@@ -351,20 +356,17 @@ class OccupancyData(LightningDataModule):
 
     def _in_order(self, split: Split) -> DataLoader[Batch]:
         dataset = self.dataset(split)
-        return self._loader(dataset, RankSampler(len(dataset), *self._rank()), drop_last=False)
+        return self._loader(dataset, RankSampler(len(dataset), *self._rank()))
 
     def _rank(self) -> tuple[int, int]:
         return (self.trainer.global_rank, self.trainer.world_size) if self.trainer is not None else (0, 1)
 
-    def _loader(
-        self, dataset: WindowDataset, sampler: EpochSampler | RankSampler, drop_last: bool
-    ) -> DataLoader[Batch]:
+    def _loader(self, dataset: WindowDataset, sampler: EpochSampler | RankSampler) -> DataLoader[Batch]:
         return Loader(
             dataset,
             self.batch_size,
             self.num_workers,
             collate,
             sampler=sampler,
-            drop_last=drop_last,
             persistent_workers=self.num_workers > 0,
         )

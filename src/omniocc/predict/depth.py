@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import torch
@@ -10,12 +10,13 @@ from jaxtyping import Float32
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor, nn
 
+from omniocc.bounds import Within
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import check
+from omniocc.config import check, check_values
 from omniocc.draw import predicted_sheet
 from omniocc.errors import UserError
 from omniocc.parts import Parts
-from omniocc.predict.input.images import resized_to_width
+from omniocc.predict.input.images import names_of, resized_to_width
 from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.sequence import ImageSequence
 from omniocc.predict.options import choose_device
@@ -29,6 +30,9 @@ from omniocc.progress import Progress
 
 SWEEP = "sweep"
 """Value of `checkpoint` that chooses the option of `model/depth`, without weights, as null does."""
+
+HALF_M = Annotated[float, Within(0, 1000, open_low=True)]
+"""Half the edge length of a bird's-eye view, m."""
 
 ShowRanges = Callable[[str, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
 """Shows the panorama of one frame: given the frame's name, its images, their rig, the ranges and their directions."""
@@ -45,8 +49,8 @@ def predict_panoramas(
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
     bag = bag_path(cfg.write_bag, bags)
-    if isinstance(cfg.exclude_cameras, str):
-        cfg.exclude_cameras = [cfg.exclude_cameras]
+    check_values(cfg, {"image_width": int | None, "image_bits": int | None, "bev_range_m": HALF_M})
+    cfg.exclude_cameras = names_of(cfg.exclude_cameras)
     given = OwnImages(*(_plain(cfg[key]) for key in OwnImages._fields))
     with own_images(given, bags and bags.read) as sequence:
         rig = sequence.rig

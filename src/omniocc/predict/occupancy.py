@@ -17,6 +17,7 @@ from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.poses import read_poses
+from omniocc.predict.input.images import names_of
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import (
     FrameSequence,
@@ -45,7 +46,8 @@ def options_of(cfg: DictConfig) -> Options:
     Raises:
         UserError: naming the option that is missing, contradictory or of the wrong type.
     """
-    options = as_options(Options, "occupancy", {str(key): value for key, value in cfg.items()})
+    given = {str(key): value for key, value in cfg.items()}
+    options = as_options(Options, "occupancy", given | {"exclude_cameras": names_of(cfg.exclude_cameras)})
     if (options.images is None) == (options.recorded is None):
         raise UserError("give either images=... (with rig=...), your own images, or recorded=..., recorded scenes")
     if options.images is None and (options.rig or options.poses or options.topics or options.road_z_m is not None):

@@ -14,6 +14,7 @@ from torch import nn
 
 from omniocc.bounds import Probability, described, fits
 from omniocc.camera import Equirectangular, Rig
+from omniocc.config import OF_TRAINER
 from omniocc.data import OccupancyData
 from omniocc.data.formats.files import check_aspect
 from omniocc.data.source import MadeScenes, SceneSource
@@ -224,6 +225,15 @@ class Trained:
         value = self.config.get("occupied_above")
         if value is not None and not fits(value, Probability):
             raise UserError(f"{self.path} is damaged: occupied_above is not {described(Probability)}")
+        return value
+
+    @property
+    def precision(self) -> str | int:
+        """Return the number format of the training, such as `32-true` or `bf16-mixed`."""
+        trainer, known = self.config.get("trainer"), OF_TRAINER["precision"]
+        value = trainer.get("precision") if isinstance(trainer, DictConfig) else None
+        if not fits(value, known):
+            raise UserError(f"{self.path} is damaged: trainer.precision is not {described(known)}")
         return value
 
     @cached_property

@@ -21,6 +21,7 @@ from omniocc.errors import UserError, shortened
 from omniocc.parallel import usable_cores
 from omniocc.runs.checkpoint_io import read_checkpoint
 from omniocc.runs.renamed import renamed
+from omniocc.runs.script import read_overrides
 from omniocc.runs.slots import foreign_packages
 from omniocc.runs.trust import fault_of, not_offered
 from omniocc.runs.weights import SUFFIX, find_checkpoint, read_weights
@@ -194,6 +195,12 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
 
 
 def apply_overrides(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Return a checkpoint's configuration with overrides (`key=value`) applied and interpolations resolved."""
-    merged = OmegaConf.merge(config, OmegaConf.from_dotlist(list(overrides)))
+    """Return a checkpoint's configuration with overrides (`key=value`) applied and interpolations resolved.
+
+    Raises:
+        UserError: naming an override that cannot be read.
+    """
+    merged = config.copy()
+    for key, value in read_overrides(overrides).items():
+        OmegaConf.update(merged, key, value, merge=True, force_add=True)
     return OmegaConf.create(OmegaConf.to_container(merged, resolve=True))  # type: ignore[return-value]

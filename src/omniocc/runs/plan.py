@@ -1,6 +1,5 @@
 """How much training a stage asks for, in words, before it starts, and when it is validated."""
 
-import math
 from typing import NamedTuple
 
 from omniocc.progress import clock
@@ -31,9 +30,14 @@ class Amount(NamedTuple):
     accumulated: int
 
     @property
-    def batches(self) -> int:
-        """Return the batches of a device in an epoch; the last incomplete one is left out."""
-        return self.frames // self.devices // self.batch_size
+    def samples(self) -> int:
+        """Return the samples of a step, over all devices."""
+        return self.batch_size * self.devices * self.accumulated
+
+    @property
+    def steps_of_epoch(self) -> int:
+        """Return the optimiser steps of an epoch; the last incomplete one is left out."""
+        return self.frames // self.samples
 
     @property
     def steps(self) -> int | None:
@@ -41,7 +45,7 @@ class Amount(NamedTuple):
         epochs = LIGHTNING_EPOCHS if self.max_steps < 0 and self.max_epochs is None else self.max_epochs
         limits = [self.max_steps] if self.max_steps >= 0 else []
         if epochs is not None and epochs >= 0:
-            limits.append(epochs * max(1, math.ceil(self.batches / self.accumulated)))
+            limits.append(epochs * max(1, self.steps_of_epoch))
         return min(limits, default=None)
 
     @property
@@ -49,10 +53,9 @@ class Amount(NamedTuple):
         """Return steps, samples and epochs, for example `1000 steps of 2 samples: 5.0 epochs of 400 frames`."""
         if (steps := self.steps) is None:
             return f"without end, over {self.frames} frames"
-        samples = self.batch_size * self.devices * self.accumulated
         parts = [str(self.batch_size), *([f"{self.devices} devices"] if self.devices > 1 else [])]
         parts += [f"{self.accumulated} batches"] if self.accumulated > 1 else []
-        epochs = f"{steps * samples / max(1, self.frames):.1f} epochs of {self.frames} frames"
+        epochs = f"{steps * self.samples / max(1, self.frames):.1f} epochs of {self.frames} frames"
         return f"{steps} steps of {' x '.join(parts)} samples: {epochs}"
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import hydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
@@ -266,6 +267,21 @@ def train_config(overrides: Sequence[str]) -> DictConfig:
         if isinstance(error.__cause__, HydraException | OmegaConfBaseException):
             raise UserError(explain(error.__cause__, str(CONF), "train", overrides)) from error
         raise
+
+
+def read_overrides(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the values of overrides by dotted key, read as on the command line of `src/train.py`.
+
+    Raises:
+        UserError: naming one that cannot be read, or has several values to sweep over.
+    """
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except OverrideParseException as error:
+        raise UserError(explain(error, str(CONF), "train", overrides)) from error
+    if several := [override.input_line for override in parsed if override.is_sweep_override()]:
+        raise UserError(f"{several[0]}: one value is needed; a list has brackets, key=[1,2]")
+    return {override.key_or_group: override.value() for override in parsed}
 
 
 def _unknown_option(missing: str, options: Sequence[str]) -> str:

@@ -37,6 +37,7 @@ def train(cfg: DictConfig) -> None:
         UserError, ConfigError: naming the key, file or part that cannot be used, before anything is trained.
     """
     check_root(cfg)
+    check_keys(cfg)
     keep_freed_memory()
     parts = Parts(cfg)
     check_devices(parts)
@@ -68,6 +69,22 @@ def train(cfg: DictConfig) -> None:
         stage.run(f"{stage.NAME}, stage {number} of {len(stages)}")
 
 
+def check_keys(cfg: DictConfig) -> None:
+    """Raise UserError if a key would have no effect: it is for a stage that is left out, or each stage has its own."""
+    last = wanted_stages(cfg)[-1]
+    for key in ("resume", "weights"):
+        if last != "occupancy" and cfg[key] not in (None, "auto", "never"):
+            raise UserError(
+                f"{key}={cfg[key]} is for the occupancy stage, which stage={last} leaves out; "
+                f"stages.{last}.weights=... is for this one"
+            )
+    if cfg.data.seed != cfg.seed:
+        raise UserError(
+            f"data.seed={cfg.data.seed} has no effect: the order of samples follows from stages.<stage>.seed, by "
+            "default from seed"
+        )
+
+
 def check_last(parts: Parts, data: OccupancyData) -> str | None:
     """Check what the last stage starts from and that its parts fit together, before earlier stages are trained.
 
@@ -81,7 +98,7 @@ def check_last(parts: Parts, data: OccupancyData) -> str | None:
 
 
 def check_frames(stages: Sequence[Stage], source: SceneSource) -> None:
-    """Check that every split has frames, and training enough for a batch of every stage that is trained.
+    """Check that every split has frames, and training enough for a step of every stage that is trained.
 
     Raises:
         UserError: naming the split or the stage.
@@ -96,11 +113,12 @@ def check_frames(stages: Sequence[Stage], source: SceneSource) -> None:
             raise UserError(f"the split '{split}' has {frames_of}, and each device needs one: give it more scenes")
     for stage in stages:
         amount, key = stage.amount(frames, trainer), f"stages.{stage.NAME}.batch_size"
-        if stage.learns and stage.recipe.max_steps and not amount.batches:
+        if stage.learns and stage.recipe.max_steps and not amount.steps_of_epoch:
+            keys = f"{'data.batch_size' if stage.NAME == 'occupancy' else key}={amount.batch_size}"
+            keys += f" trainer.accumulate_grad_batches={amount.accumulated}" if amount.accumulated > 1 else ""
             raise UserError(
-                f"{'data.batch_size' if stage.NAME == 'occupancy' else key}={amount.batch_size}: there are {frames} "
-                f"training frames for {amount.devices} device{'s' * (amount.devices > 1)}, less than a batch for each; "
-                "use more scenes or a smaller batch"
+                f"{keys}: there are {frames} training frames, less than the {amount.samples} of a step on "
+                f"{amount.devices} device{'s' * (amount.devices > 1)}; use more scenes or smaller batches"
             )
 
 

@@ -54,6 +54,11 @@ def test_a_folder_of_each_camera_holds_the_frames(tmp_path):
     with pytest.raises(UserError, match=r"back: no image of frame '9'"):
         find_frames(str(tmp_path), RIG)
     assert find_frames(str(tmp_path), RIG, ["back"])[0].files == (tmp_path / "front/9.png", None)
+    (tmp_path / "back").rename(tmp_path / "bakc")
+    with pytest.raises(UserError, match=r"no folder with images of camera 'back' \(is it 'bakc'\?\)"):
+        find_frames(str(tmp_path), RIG)
+    assert len(find_frames(str(tmp_path), RIG, ["back"])) == 2
+    (tmp_path / "bakc").rename(tmp_path / "back")
     save(tmp_path / "back/10.jpg")
     with pytest.raises(UserError, match=r"back: several images of frame '10'"):
         find_frames(str(tmp_path), RIG)

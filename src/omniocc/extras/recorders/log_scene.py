@@ -42,6 +42,8 @@ from omniocc.progress import Progress
 
 SHORTEST_S, LONGEST_S = 5e-4, 60.0
 """Limits of the median time between frames, s: beyond them the unit of the times is taken to be wrong."""
+ONE_FRAME_S = 0.1
+"""Stands for the time between frames of a scene that has only one, s."""
 OFF_CENTRE_M = 0.5
 """A user is told when the ego origin is horizontally farther than this from the middle of the cameras."""
 
@@ -259,7 +261,7 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
     """Return the facts of the scene: its classes, the bands of the virtual world, the median time between frames."""
     steps_s = np.diff(plan.times_s)
     # rounded, to be equal for scenes of the same sensors
-    interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else 0.0
+    interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else ONE_FRAME_S
     classes = OCCUPANCY_CLASSES if log.scans is None else log.scans.classes
     return recorded_spec(classes, interval_s, road_z_m)
 

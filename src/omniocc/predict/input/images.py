@@ -74,13 +74,20 @@ def _match_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]
         )
     if of_cameras or not frames:
         return [FrameFiles("", _match_folder(folder, rig, excluded))]
-    if {path.name for path in frames} >= set(rig.names) - set(excluded):
-        return _by_camera(folder, rig, excluded)
+    if {path.name for path in frames} & set(rig.names):
+        return _by_camera(folder, [path.name for path in frames], rig, excluded)
     return [FrameFiles(frame.name, _match_folder(frame, rig, excluded)) for frame in frames]
 
 
-def _by_camera(folder: Path, rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
+def _by_camera(folder: Path, folders: Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[FrameFiles]:
     """Return the frames of a folder with a folder of images for each camera, as OmniMVS has them."""
+    for name in rig.names:
+        if name not in (*folders, *excluded):
+            others = [other for other in folders if other not in rig.names]
+            raise UserError(
+                f"{folder}: no folder with images of camera '{name}'{suggest_name(name, others)}; "
+                f"exclude_cameras=[{name}] leaves it out"
+            )
     found = {name: _image_files(folder / name) for name in rig.names if name not in excluded}
     by_stem = {name: {path.stem: path for path in paths} for name, paths in found.items()}
     for name, paths in found.items():
@@ -94,6 +101,11 @@ def _by_camera(folder: Path, rig: Rig, excluded: Sequence[str]) -> list[FrameFil
         FrameFiles(path.stem, tuple(by_stem[name][path.stem] if name in found else None for name in rig.names))
         for path in frames
     ]
+
+
+def names_of(cameras: str | Sequence[object]) -> list[str]:
+    """Return the names of cameras that an option states: one, or a list."""
+    return [cameras] if isinstance(cameras, str) else list(map(str, cameras))
 
 
 def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
