@@ -56,7 +56,7 @@ def test_all_problems_are_listed_at_once_each_in_a_line(root):
 def test_cells_that_a_source_cannot_know_are_refused(tmp_path):
     grid = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
     data = OccupancyData(FakeWorld(tmp_path), 12, grid, 1, 2, 0, 0, ignore="unseen")
-    with pytest.raises(UserError, match="data.ignore=unseen: choose none or unobserved"):
+    with pytest.raises(UserError, match=r"data\.ignore=unseen: choose none or unobserved"):
         read_back(data, 0, 0, None)
 
 

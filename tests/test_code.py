@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from hydra.utils import get_class
+from omegaconf import OmegaConf
 
-from omniocc.code import code_fingerprint, code_of_classes
+from omniocc.code import code_fingerprint, code_of_classes, module_of
 
 
 def test_code_fingerprint_ignores_comments_and_docstrings(tmp_path):
@@ -118,3 +120,12 @@ def test_the_arguments_that_a_docstring_lists_exist():
             wrong += [(path.name, node.name, name) for name in names if name not in arguments(node)]
     assert listed > 500
     assert wrong == []
+
+
+def test_the_module_of_a_class_is_found_without_running_it():
+    for path in sorted((Path(__file__).parents[1] / "conf" / "model").glob("*/*.yaml")):
+        name = OmegaConf.load(path).get("_target_")
+        if name is not None:
+            assert module_of(name) == get_class(name).__module__, path
+    assert module_of("omniocc.model.sketch.Nothing") == "omniocc.model.sketch"
+    assert module_of("nobody.knows.This") == "nobody.knows"

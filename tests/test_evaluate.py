@@ -73,11 +73,11 @@ def test_what_does_not_go_together_is_refused(words, message, capsys):
 def test_a_checkpoint_is_scored_at_the_precision_of_its_training(monkeypatch, tmp_path):
     asked = {}
 
-    class Stop(Exception): ...
+    class StopError(Exception): ...
 
     def trainer(**options):
         asked.update(options)
-        raise Stop
+        raise StopError
 
     monkeypatch.setattr(module, "Trainer", trainer)
     trained = load("tiny", ["data.source.splits={train:1,val:0}", "data.source.themes=[downtown]"])
@@ -87,9 +87,9 @@ def test_a_checkpoint_is_scored_at_the_precision_of_its_training(monkeypatch, tm
     data = SimpleNamespace(num_classes=12, spec=SimpleNamespace(classes=None))
     data.restrict_to = data.set_ray_origins = lambda _: None
     scored = SimpleNamespace(task=None, data=data, precision=trained.precision)
-    with pytest.raises(Stop):
+    with pytest.raises(StopError):
         score_checkpoint(scored, tmp_path / "results", Evaluation([], [], None, None))
     assert asked["precision"] == "bf16-mixed"
     trained.config.trainer.precision = "8"
-    with pytest.raises(UserError, match="is damaged: trainer.precision is not one of '32-true'"):
+    with pytest.raises(UserError, match=r"is damaged: trainer\.precision is not one of '32-true'"):
         _ = trained.precision

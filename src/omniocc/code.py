@@ -39,7 +39,8 @@ def code_of_classes(names: Iterable[str]) -> str:
         if path is None and "." in name:
             waiting.append(name.rpartition(".")[0])  # of a class or function: the module that has it
         elif path is not None and found.setdefault(name, path) is path:
-            waiting += _imports(name, path)
+            top = f"{name.partition('.')[0]}."
+            waiting += [other for other in _imports(name, path) if f"{other}.".startswith(top)]
     return _digest(found) if found else ""
 
 
@@ -49,6 +50,22 @@ def spec_of(module: str) -> ModuleSpec | None:
         return find_spec(module)
     except ModuleNotFoundError:  # of the package that should have the part
         return None
+
+
+@functools.cache
+def module_of(name: str) -> str:
+    """Return the module that defines a class, by the code of the package that offers it, of which nothing is run.
+
+    Args:
+        name: of the class, such as `omniocc.model.sketch.Omni`.
+    """
+    package, _, offered = name.rpartition(".")
+    root, *parts = package.split(".")
+    spec = spec_of(root)
+    place = Path("" if spec is None or spec.origin is None else spec.origin).parent.joinpath(*parts)
+    path = next((path for path in (place / "__init__.py", place.with_suffix(".py")) if path.is_file()), None)
+    taken = () if path is None else _imports(package, path)
+    return next((module_of(found) for found in taken if found.endswith(f".{offered}")), package)
 
 
 def _own_file(module: str) -> Path | None:
@@ -61,17 +78,14 @@ def _own_file(module: str) -> Path | None:
 
 
 def _imports(module: str, path: Path) -> Iterator[str]:
-    """Yield the modules of its own package, and what is taken from them, that a module imports."""
+    """Yield the modules that a module imports, and what it takes from them."""
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    top = f"{module.partition('.')[0]}."
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        names: list[str] = []
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
-            names = [f"{base}.{alias.name}" for alias in node.names]
-        yield from (name for name in names if f"{name}.".startswith(top))
+            yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
 def _digest(modules: Mapping[str, Path]) -> str:

@@ -33,7 +33,7 @@ from omniocc.train.stage_keys import STAGES
         ),
         ("depth.panorama.width=65536 depth.panorama.height=65536 stages.depth.batch_size=1000", "GiB of memory"),
         ("data.seed=5", "data.seed=5 has no effect: the order of samples follows from stages.<stage>.seed"),
-        ("stage=depth weights=tiny", "weights=tiny is for the occupancy stage, which stage=depth leaves out; stages.depth"),
+        ("stage=depth weights=tiny", "weights=tiny is for the occupancy stage, which stage=depth leaves out; stages"),
         ("stage=sketch resume=a.ckpt", "resume=a.ckpt is for the occupancy stage, which stage=sketch leaves out"),
         ("trainer.devices=3 trainer.accelerator=cpu", "the split 'val' has 1 frame for 3 devices"),
         ("trainer.devices=-1 trainer.accelerator=cpu", "trainer.accelerator=cpu trainer.devices=-1"),

@@ -35,8 +35,8 @@ from rayiou.directions import rays_around
 class EpochSampler(DistributedSampler):
     """The training order, a function of (seed, epoch) only, divided among the ranks; it can begin within an epoch.
 
-    Every rank gets the same number of samples, in whole steps; the rest of an epoch is left out. `len` is always that of
-    a whole epoch.
+    Every rank gets the same number of samples, in whole steps; the rest of an epoch is left out. `len` is always the
+    number in a whole epoch.
 
     Args:
         size: number of samples.

@@ -15,9 +15,9 @@ from omniocc.data.store.files import is_url
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
+from omniocc.predict.input.images import names_of
 from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.poses import read_poses
-from omniocc.predict.input.images import names_of
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import (
     FrameSequence,

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float16, Float32, UInt8
@@ -231,7 +231,7 @@ class Trained:
     def precision(self) -> str | int:
         """Return the number format of the training, such as `32-true` or `bf16-mixed`."""
         trainer, known = self.config.get("trainer"), OF_TRAINER["precision"]
-        value = trainer.get("precision") if isinstance(trainer, DictConfig) else None
+        value: Any = trainer.get("precision") if isinstance(trainer, DictConfig) else None
         if not fits(value, known):
             raise UserError(f"{self.path} is damaged: trainer.precision is not {described(known)}")
         return value

@@ -291,6 +291,9 @@ def as_svg(figure: Figure, name: str, title: str) -> tuple[str, str]:
     """
     buffer = io.StringIO()
     with rc_context(STYLE):
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)  # `savefig` would draw the whole figure once more for it
+            figure.set_layout_engine("none")
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     file = buffer.getvalue()
     svg = file[file.index("<svg") :]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from omniocc.code import code_of_classes
+from omniocc.code import code_of_classes, module_of
 from omniocc.config import OWN_PACKAGE, PACKAGES, target_of
 from omniocc.model.protocols import learns
 
@@ -30,10 +30,9 @@ def option_of(node: Mapping[Any, Any]) -> str:
     It is the name of the module that holds the class. In other packages modules may have any names, so there it is the
     name of the class.
     """
-    target = target_of(node)
-    return (
-        target.__module__.rpartition(".")[2] if target.__module__.partition(".")[0] in OWN_PACKAGE else target.__name__
-    )
+    name = str(node["_target_"])
+    module, _, own_name = name.rpartition(".")
+    return module_of(name).rpartition(".")[2] if module.partition(".")[0] in OWN_PACKAGE else own_name
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
@@ -69,6 +68,6 @@ def foreign_code(tree: Any) -> list[str]:
 
 def targets_in(tree: Any) -> set[str]:
     """Return the full names of the classes (`_target_`) in a plain tree."""
-    children = tree.values() if isinstance(tree, Mapping) else tree if isinstance(tree, list) else ()
+    children = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ()
     found = {name for child in children for name in targets_in(child)}
-    return found | ({str(tree["_target_"])} if isinstance(tree, Mapping) and "_target_" in tree else set())
+    return found | ({str(tree["_target_"])} if isinstance(tree, dict) and "_target_" in tree else set())
