@@ -31,6 +31,20 @@ def test_measured_figures_win_over_configured_ones(runs):
     assert by_name["cuboid-00000001"].metrics["voxels"] == 256.0
 
 
+def test_runs_whose_score_is_no_number_come_last(runs, tmp_path):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    best = read_runs(folder)[0].name
+    path = folder / best / "metrics.json"
+    content = json.loads(path.read_text())
+    content["metrics"]["test/rayiou"] = None
+    path.write_text(json.dumps(content))
+    found = read_runs(folder)
+    scores = [run.metrics["test/rayiou"] for run in found]
+    assert found[-1].name == best
+    assert scores[:-1] == sorted(scores[:-1], reverse=True)
+
+
 def test_of_two_runs_with_one_seed_the_newest_counts(runs, tmp_path):
     folder = tmp_path / "runs"
     shutil.copytree(runs, folder)

@@ -186,6 +186,15 @@ def test_the_newest_state_is_saved_every_so_many_steps(tmp_path):
     assert torch.load(last, weights_only=False)["global_step"] == 6
 
 
+def test_what_a_training_goes_on_from_is_not_saved_again(tmp_path):
+    last, other = tmp_path / "last.ckpt", tmp_path / "other.ckpt"
+    quiet_trainer(LastCheckpoint(last, 3), max_steps=3, limit_val_batches=0).fit(BoringModel())
+    on = quiet_trainer(LastCheckpoint(other, 3), Killed("on_train_batch_end", 5), max_steps=9, limit_val_batches=0)
+    with pytest.raises(SystemExit):
+        on.fit(BoringModel(), ckpt_path=str(last), weights_only=False)
+    assert not other.exists()
+
+
 def test_validations_outside_of_the_training_save_nothing(tmp_path):
     """One before its first step, to see whether it runs, and one alone."""
     last = tmp_path / "last.ckpt"

@@ -17,12 +17,13 @@ from omniocc.errors import UserError
 from omniocc.extras.viewer.collect import open_shown
 from omniocc.extras.viewer.command import show_frames
 from omniocc.extras.viewer.options import TargetOptions, ViewOptions
-from omniocc.extras.viewer.predictions import own_frames
+from omniocc.extras.viewer.predictions import own_frames, predicted_frames
 from omniocc.extras.viewer.timeline.sinks import to_file
 from omniocc.extras.viewer.timeline.stream import RangeStream, VoxelStream
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.predict.output.voxel_files import VOXELS
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 QUICK = ("overview=false", "mesh=false")
@@ -70,6 +71,13 @@ def test_predictions_for_recorded_scenes_come_with_truth_and_figures(of_scene, c
         assert torch.equal(one.truth[shown.grids[0]], other.truth[shown.grids[0]])
         assert np.array_equal(one.images[0], other.images[0])
         assert one.time_s == other.time_s
+
+
+def test_frames_come_in_the_order_of_their_numbers(tmp_path):
+    for name in ("drive 10/9", "drive 2/10", "drive 2/9"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / VOXELS).touch()
+    assert list(predicted_frames(tmp_path).items()) == [("drive 2", ["9", "10"]), ("drive 10", ["9"])]
 
 
 def test_the_truth_is_that_of_the_training(make_run, dataset, predict, tmp_path):

@@ -3,6 +3,7 @@
 import pytest
 
 from omniocc.errors import UserError
+from omniocc.predict.occupancy import places_of
 from omniocc.predict.output.manifest import write_manifest
 from omniocc.predict.output.voxel_files import VOXELS
 
@@ -31,3 +32,14 @@ def test_what_differs_is_named_without_digests(tmp_path):
         "images=mine (now yours), occupied_above=0.3 (now null), other poses; choose another output=..., or force=true "
         "to predict all frames again"
     )
+
+
+def test_the_same_relative_folder_elsewhere_is_another_place(tmp_path, monkeypatch):
+    found = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        found.append(places_of("images"))
+    assert found == [str(tmp_path / "a" / "images"), str(tmp_path / "b" / "images")]
+    assert places_of(["x.png", "y.png"]) == str([str(tmp_path / "b" / name) for name in ("x.png", "y.png")])
+    assert places_of("s3://bucket/images") == "s3://bucket/images"
