@@ -10,7 +10,7 @@ from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.labels.counts import all_frames
 from omniocc.data.labels.ray_votes import rays_seen
 from omniocc.data.rays import rays_around
-from omniocc.data.source import SPLITS
+from omniocc.data.source import SPLITS, has_poses
 from omniocc.data.spacing import evenly_spaced
 from omniocc.draw import save_png
 from omniocc.draw.voxel_sheet import data_sheet
@@ -60,8 +60,12 @@ def read_back(data: OccupancyData, frames: int, workers: int, drawn: Path | None
 def seen_line(data: OccupancyData, window: RayWindow) -> str | None:
     """Return a line on how many LiDAR rays see the cells of the model's grid, over some training frames; None without.
 
+    Nor is there one for rays of neighbours where a scene has no poses.
+
     Cells that no ray crosses or hits are unknown to `data.ignore=unobserved` and to `loss=lidar_rays`.
     """
+    if any(window.frames) and not all(map(has_poses, data.source.scenes("train"))):
+        return None
     frames = all_frames(data.source.scenes("train"))
     found = [rays_around(*frames[number], window) for number in evenly_spaced(len(frames), MOST_FRAMES)]
     counts = [rays_seen(data.geometry, rays) for rays in found if rays is not None]

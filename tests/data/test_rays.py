@@ -10,6 +10,7 @@ from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.formats.poses import inverse, transform_points
 from omniocc.data.rays import FAR_M, in_front, rays_around
 from omniocc.data.source import LidarScan
+from omniocc.errors import UserError
 from omniocc.loss import RayWindow
 
 SPHERE_M = 12.0
@@ -119,6 +120,16 @@ def test_points_in_directions_without_rays_are_kept():
     up, ahead = np.array([[0.0, 0, 5]], np.float32), np.array([[5.0, 0, 0], [11.5, 0, 0]], np.float32)
     assert not in_front(up, scan).any()
     assert in_front(ahead, scan).tolist() == [True, False]
+
+
+def test_rays_of_other_frames_need_poses():
+    scene = Scene([(0, 0, 0)] * 2, [AWAY] * 2)
+    scene.has_poses = False
+    assert rays_around(scene, 0, RayWindow([0], True)) is not None
+    with pytest.raises(
+        UserError, match=r"^loss\.rays\.frames=\[-1, 0\]: 'made' has no poses .*frames=\[0\]$"
+    ):
+        rays_around(scene, 0, RayWindow([-1, 0], True))
 
 
 def test_frames_that_are_missing_are_left_out():

@@ -20,7 +20,17 @@ from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.loader import Loader
 from omniocc.data.origins import Origins
-from omniocc.data.source import SPLITS, Ignore, MadeScenes, SceneFrames, SceneSource, SourceSpec, Split, VoxelLabels
+from omniocc.data.source import (
+    SPLITS,
+    Ignore,
+    MadeScenes,
+    SceneFrames,
+    SceneSource,
+    SourceSpec,
+    Split,
+    VoxelLabels,
+    has_poses,
+)
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
 from omniocc.errors import UserError, moved_by
@@ -215,7 +225,7 @@ class OccupancyData(LightningDataModule):
         return self.source.labels(self.geometry, self.ignore)
 
     def remarks(self) -> Iterator[str]:
-        """Yield a line where scores end before the grid does, labels are lost or a real LiDAR leaves cells unseen.
+        """Yield a line where scores end before the grid, labels are lost, poses lack or a LiDAR leaves cells unseen.
 
         `prepare_data` has been called.
 
@@ -235,6 +245,8 @@ class OccupancyData(LightningDataModule):
             )
         first = [scene for scene in self.source.scenes("train") if len(scene)][:1]
         yield from filter(None, (lost_line(scene, self.voxels, self.geometry) for scene in first))
+        if self.window > 1 and not all(map(has_poses, first)):
+            yield "the frames have no poses: past ones are fused as if the car stood still; choose model/temporal=none"
         scenes = [scene for scene in first if isinstance(scene, SceneReader)]
         if self.ignore == "none" and any("log" in scene.meta.get("facts", {}) for scene in scenes):
             yield (

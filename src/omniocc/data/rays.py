@@ -6,7 +6,8 @@ from jaxtyping import Bool, Float32, Float64
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data.formats.poses import inverse, transform_points
-from omniocc.data.source import LidarScan, SceneFrames
+from omniocc.data.source import LidarScan, SceneFrames, has_poses
+from omniocc.errors import UserError
 from omniocc.loss import Rays, RayWindow
 
 FAR_M = 1000.0
@@ -30,10 +31,14 @@ def rays_around(scene: SceneFrames, frame: int, window: RayWindow) -> Rays | Non
 
     Raises:
         DataError: naming the frame that is damaged.
+        UserError: if neighbours are asked for, but the scene has no poses.
     """
     own = scan_of(scene, frame)
     if own is None:
         return None
+    if any(window.frames) and not has_poses(scene):
+        given = f"loss.rays.frames={list(window.frames)}"
+        raise UserError(f"{given}: '{scene.name}' has no poses for rays of other frames; choose loss.rays.frames=[0]")
     parts = [_rays(own)]
     ego_from_world = inverse(scene.world_from_ego[frame])
     for other in (frame + step for step in window.frames if step):

@@ -65,6 +65,19 @@ def test_votes_are_kept_beside_those_of_other_windows(tmp_path):
     scenes[0].label = 3
     assert votes.read(scenes[0], 0).flatten().tolist() == expected, "read from the file"
     assert RayVotes(tmp_path, LINE, RayWindow([0, 1], True), "data").folder != votes.folder
+    assert RayVotes(tmp_path, LINE, RayWindow([0], True), "others").folder != votes.folder, "one folder, other frames"
+
+
+def test_hits_of_unknown_class_are_occupied_where_there_is_one_class():
+    origins, ends = torch.tensor([[[0.1, 0, 0]]]), torch.tensor([[[4.6, 0, 0]]])
+    one = Rays(origins, ends, torch.full((1, 1), 255, dtype=torch.uint8))
+    assert vote_rays(LINE, one, 2).flatten().tolist() == [0, 0, 0, 0, 1, 255, 255, 255]
+    assert vote_rays(LINE, one, 4).flatten().tolist() == [0, 0, 0, 0, 255, 255, 255, 255]
+
+
+def test_votes_of_rays_without_any_class_are_one_line(tmp_path):
+    with pytest.raises(DataError, match=r"^no ray .* hits a known class: loss=lidar_rays loss\.rays\.classes=false"):
+        votes_of(tmp_path).counts([Scene(255)])
 
 
 def counts_of(scenes, classes=True):
@@ -89,7 +102,7 @@ def test_hits_of_unknown_class_count_for_all_classes_alike():
 
 
 def test_rays_that_are_to_have_classes_but_have_none_are_one_line():
-    with pytest.raises(DataError, match=r"^no ray .* hits a known class: loss\.rays\.classes=false uses none$"):
+    with pytest.raises(DataError, match=r"^no ray .* hits a known class: .*loss\.rays\.classes=false uses none$"):
         counts_of([Scene(255)])
 
 

@@ -70,6 +70,11 @@ def test_hits_in_the_box_of_a_moving_actor_move():
     assert moved(CAR, (8.1, 0.9, -1), (11.9, -0.9, -1), (7.6, 0, -1), (10, 1.4, -1)) == [True, True, False, False]
 
 
+def test_hits_without_a_class_move_with_the_actor_in_whose_box_they_are():
+    assert moved(CAR, (8.1, 0.9, -1), (7.6, 0, -1), label=255) == [True, False]
+    assert moved(CAR, (8.1, 0.9, -1), label=3) == [False]
+
+
 def test_a_hit_may_lie_a_little_outside_of_the_box():
     """Of the car's 4 m half are 2 m, and .3 m more."""
     assert moved(CAR, (12.29, 0, -1), (12.31, 0, -1)) == [True, False]

@@ -111,6 +111,9 @@ def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(record
     apart_m, _ = cKDTree(later.points(0).points_m).query(expected)  # stored in another order, in steps of 1/128 m
     assert len(later.points(0).points_m) == len(expected)
     assert apart_m.max() < 0.02
+    began_m = at_once.scan(0).origins[0]
+    assert np.allclose(later.scan(0).origins, motion[:3, :3] @ began_m + motion[:3, 3], atol=1e-4)
+    assert np.allclose(later.scan(0).range_m.max(), at_once.scan(0).range_m.max(), atol=0.02)
     points_m, rig = later.points(0).points_m, later.rig
     panorama = Equirectangular(later.erp_range_m(0).shape[1], later.erp_range_m(0).shape[0], 45.0, -45.0)
     shown = np.stack([image.range_m for image in onto_cameras(points_m, None, rig)]), later.camera_range_m(0)
@@ -488,3 +491,5 @@ def test_a_turn_of_the_lidar_is_corrected_unless_the_scans_are(recorder, origina
     assert np.median(moved_m) > 0.01
     assert not np.array_equal(kept.points(0).points_m, turned.points(0).points_m)
     assert np.array_equal(kept.points(1).points_m, turned.points(1).points_m)  # its scan has no times
+    moved_m = turned.scan(0).origins[0] - kept.scan(0).origins[0]
+    assert np.allclose(moved_m, step_m / 2, atol=5e-3), "in the middle of the turn"

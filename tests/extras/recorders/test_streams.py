@@ -33,6 +33,10 @@ def test_frames_at_an_interval():
     assert paced(times_s, None).tolist() == list(range(8))
     assert paced(times_s, 0.2).tolist() == [0, 2, 4, 6]  # none for .6, .8 and 1.0
     assert paced(times_s, 10.0).tolist() == [0]
+    tenths = np.arange(11) / 10
+    assert paced(tenths[:9], 0.5).tolist() == [0, 5], ".8 does not stand in for 1.0"
+    tenths[10] = 0.98
+    assert paced(tenths, 0.5).tolist() == [0, 5, 10]
 
 
 def test_lacking_names_the_streams():

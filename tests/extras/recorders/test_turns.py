@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from omniocc.data.formats.clouds import RawCloud
 from omniocc.errors import DataError
-from omniocc.extras.recorders.turns import at_one_time, seconds_of
+from omniocc.extras.recorders.files import ego_scan
+from omniocc.extras.recorders.labels import read_point_classes
+from omniocc.extras.recorders.turns import are_after, at_one_time, seconds_of
 
 RNG = np.random.default_rng(3)
 SCAN_S = 1_700_000_000.25
@@ -58,6 +61,24 @@ def test_the_unit_of_times_is_found(times):
 def test_a_clock_that_begins_at_zero():
     np.testing.assert_allclose(seconds_of(0.3 + AFTER_S, 0.3, "here"), 0.3 + AFTER_S)
     np.testing.assert_allclose(seconds_of(AFTER_S, 0.3, "here"), 0.3 + AFTER_S)
+
+
+def test_a_late_scan_tells_from_where_times_count():
+    """At a stamp of .1 s times up to .1 s may be after it or by the clock; at 2 s they may not."""
+    assert are_after(AFTER_S, 2.0) is are_after((AFTER_S * 1e9).astype(np.uint32), 2.0) is True
+    assert are_after(2.0 + AFTER_S, 2.0) is False
+    assert are_after(None, 2.0) is are_after(np.zeros(0), 2.0) is are_after(AFTER_S * 15, 2.0) is None
+    np.testing.assert_allclose(seconds_of(AFTER_S, 0.1, "here", after=True), 0.1 + AFTER_S)
+    np.testing.assert_allclose(seconds_of(0.1 + AFTER_S, 0.1, "here", after=False), 0.1 + AFTER_S)
+
+
+def test_the_last_scan_tells_for_the_first_ones():
+    options, none = {"own_car_m": None, "deskew": True}, read_point_classes(None)
+    points = np.ones((len(AFTER_S), 3), np.float32)
+    for stamp_s, after in ((0.1, True), (0.1, False), (5.0, None)):
+        cloud = RawCloud(points, None, AFTER_S if after in (True, None) else stamp_s + AFTER_S)
+        scan = ego_scan(cloud, stamp_s, lambda after=after: after, np.eye(4), none, options, "here")
+        np.testing.assert_allclose(scan.times_s, stamp_s + AFTER_S)
 
 
 def test_points_of_one_time_need_no_correction():

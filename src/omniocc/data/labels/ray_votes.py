@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
+from omniocc.classes import FREE, NUM_CLASSES, OCCUPANCY_CLASSES, UNKNOWN
 from omniocc.data.labels.counts import all_frames
 from omniocc.data.labels.voxels import VoxelCache, ray_paths
 from omniocc.data.rays import rays_around
@@ -19,8 +19,9 @@ from omniocc.loss import Rays, RayWindow
 from omniocc.loss.lidar_rays import occupied_cells, ray_queries
 from omniocc.progress import Progress
 
-RAY_VERSION = 1
+RAY_VERSION = 2
 """Raise it when the same scans would give other labels or counts."""
+NO_CLASSES = "no ray of the training frames hits a known class: loss=lidar_rays loss.rays.classes=false uses none"
 QUERIES = 8
 """Places before the end of a ray that are counted."""
 COUNTED = 1000
@@ -44,9 +45,17 @@ class RayVotes(VoxelCache):
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
     ):
-        labelling = f"rays {RAY_VERSION} {sorted(window.frames)}"  # part of the folder's name
+        # part of the folder's name; the folders of some sources hold frames of other options as well
+        labelling = f"rays {RAY_VERSION} {sorted(window.frames)} {fingerprint}"
         super().__init__(folder, geometry, "unobserved", fingerprint, num_classes, workers, [labelling])
         self.window = window
+
+    def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
+        """Return what `VoxelCache.counts` does; raise DataError if no cell is occupied, so that nothing is to learn."""
+        found = super().counts(scenes)
+        if not found[FREE + 1 :].any():
+            raise DataError(NO_CLASSES)
+        return found
 
     def _vote(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
         rays = rays_around(scene, frame, self.window)
@@ -56,7 +65,12 @@ class RayVotes(VoxelCache):
 
 
 def vote_rays(grid: Grid, rays: Rays, num_classes: int) -> UInt8[Tensor, "X Y Z"]:
-    """Return the class of every cell by the rays of one sample, (1, R) without padding; 255 where no ray was."""
+    """Return the class of every cell by the rays of one sample, (1, R) without padding.
+
+    It is 255 where no ray was, and where all hits are of unknown class. With two classes these are occupied.
+    """
+    if num_classes == OCCUPANCY_CLASSES.num_classes:
+        rays = rays._replace(labels=rays.labels.where(rays.labels != UNKNOWN, FREE + 1))
     _, ends_m, labels = (part[0] for part in rays)
     hit = labels != FREE
     cells = grid.voxelize(ends_m[hit], labels[hit], num_classes)
@@ -105,7 +119,7 @@ def count_rays(
     if not hits.any():
         raise DataError("the training frames have no LiDAR scan that crosses the grid; loss=paper learns from voxels")
     if window.classes and not known.any():
-        raise DataError("no ray of the training frames hits a known class: loss.rays.classes=false uses none")
+        raise DataError(NO_CLASSES)
     occupied = (num_classes - 1) * known + unknown
     free = (num_classes - 1) * free
     balanced = occupied * (free.sum() / occupied.sum().clamp(min=1))

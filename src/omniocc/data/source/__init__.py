@@ -186,6 +186,11 @@ class SceneFrames(Protocol):
         ...
 
 
+def has_poses(scene: SceneFrames) -> bool:
+    """Return whether the poses of a scene are known; an attribute `has_poses` says so where they are not."""
+    return getattr(scene, "has_poses", True)
+
+
 @runtime_checkable
 class SubmittedScene(SceneFrames, Protocol):
     """A scene of a dataset whose benchmark takes predictions as files, one for each frame, on its own grid."""

@@ -207,6 +207,8 @@ class SceneReader(SceneFolder):
         if points is None:
             return self.lidar(frame)
         position_m = self.meta["facts"].get(LIDAR_POSITION)
+        if isinstance(position_m, list) and len(position_m) == len(self) and isinstance(position_m[frame], list):
+            position_m = position_m[frame]  # older recordings state one for all
         if not isinstance(position_m, list) or len(position_m) != 3 or not all(map(is_finite, position_m)):
             raise self.damaged(META, "it does not state where the LiDAR was; remove the scene and record it again")
         scan = scan_of_points(Cloud(points.points_m, points.labels, np.array(position_m, np.float32)))
@@ -320,7 +322,7 @@ def hits_of_moving(
     boxes: Sequence[Box],
     origins: Float32[np.ndarray, "R 3"] | None = None,
 ) -> Bool[np.ndarray, " R"]:
-    """Return which rays hit an actor that moves: they end in its box, seen from above, on its class.
+    """Return which rays hit an actor that moves: they end in its box, seen from above, on its class or an unknown one.
 
     Args:
         range_m: along the rays, m; inf where nothing is hit.
@@ -333,7 +335,7 @@ def hits_of_moving(
     for box in boxes:
         if np.hypot(*box.velocity_mps) < MOVES_MPS:
             continue
-        rays = np.flatnonzero(labels == box.label)
+        rays = np.flatnonzero(((labels == box.label) | (labels == UNKNOWN)) & np.isfinite(range_m))
         ends_m = range_m[rays, None] * directions[rays, :2]
         away_m = (ends_m if origins is None else ends_m + origins[rays, :2]) - np.array(box.center_m[:2])
         cos, sin = np.cos(box.yaw_rad), np.sin(box.yaw_rad)

@@ -177,6 +177,7 @@ class H3OScene(OwnGridScene):
     """The frames of one sequence that have voxels. There are no poses: history can't be fused."""
 
     dataset = "H3O"
+    has_poses = False
 
     def __init__(self, name: str, source: H3O):
         super().__init__(name.replace("/", "-"), source.panorama)

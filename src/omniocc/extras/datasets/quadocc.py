@@ -150,6 +150,7 @@ class QuadOccScene(OwnGridScene):
     """Every `frame_step`-th frame of one sequence that has voxels. There are no poses: history can't be fused."""
 
     dataset = "QuadOcc"
+    has_poses = False
 
     def __init__(self, name: str, source: QuadOcc):
         super().__init__(name, source.panorama)

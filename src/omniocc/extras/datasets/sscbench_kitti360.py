@@ -37,7 +37,7 @@ from omniocc.data.store.shard import digest
 from omniocc.errors import FAULTS, DataError
 from omniocc.io import atomic_write
 
-FRONT = "image_00"
+FRONT, POSES = "image_00", "pose.txt"
 FOCAL_PX, CENTER_PX = 552.554261, (682.049453, 238.769549)
 """Rectified camera 0 of KITTI-360 (perspective.txt); SSCBench's download has no calibration."""
 VELODYNE_FROM_CAMERA = (
@@ -137,14 +137,19 @@ class SSCBenchSequence(CompletionScene):
         """Return true: every frame has voxels."""
         return True
 
+    @property
+    def has_poses(self) -> bool:
+        """Return whether the file of the poses is there."""
+        return os.path.lexists(self.folder / POSES)
+
     @cached_property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of the velodyne in every frame, from pose.txt; without it all are the same.
 
         The download has no poses now: then history can't be fused (`model/temporal=none`).
         """
-        path = self.folder / "pose.txt"
-        if not os.path.lexists(path):
+        path = self.folder / POSES
+        if not self.has_poses:
             return np.tile(np.eye(4), (len(self), 1, 1))
         known, poses = read_numbered_poses(path)
         place = {int(number): index for index, number in enumerate(known)}

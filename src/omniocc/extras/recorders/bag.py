@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ import torch
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
+from omniocc.data.formats.clouds import RawCloud
 from omniocc.data.formats.poses import inverse
 from omniocc.errors import DataError, UserError, in_line, installing
 from omniocc.extras.recorders.files import ego_scan, lidar_options, plain_options, stated_depth
@@ -27,6 +29,7 @@ from omniocc.extras.recorders.messages import (
     timed,
 )
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
+from omniocc.extras.recorders.turns import are_after
 from omniocc.images import Depth
 
 LIDAR_KEYS = dict.fromkeys(("ego_from_lidar", "classes", "label_field", "own_car_m")) | {"topic": ..., "deskew": True}
@@ -180,10 +183,17 @@ class RosBag(LogRecorder):
         if ego_from_lidar is None:
             ego_from_lidar = self.ego_from_base @ tree.fixed(self.base_frame, topic.frame)
 
-        def read(number: int) -> Scan:
+        def cloud_of_message(number: int) -> tuple[RawCloud, str]:
             message, where = bag.message(topic.addresses[number])
-            cloud = cloud_of(message, options["label_field"], where)
-            return ego_scan(cloud, topic.times_s[number], ego_from_lidar, classes, options, where)
+            return cloud_of(message, options["label_field"], where), where
+
+        @cache
+        def after() -> bool | None:
+            return are_after(cloud_of_message(-1)[0].times, topic.times_s[-1])
+
+        def read(number: int) -> Scan:
+            cloud, where = cloud_of_message(number)
+            return ego_scan(cloud, topic.times_s[number], after, ego_from_lidar, classes, options, where)
 
         name, position_m = (lambda number: bag.where(topic.addresses[number])), ego_from_lidar[:3, 3]
         scans = Scans(topic.times_s, read, name, classes.table, position_m)

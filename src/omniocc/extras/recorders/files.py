@@ -1,8 +1,9 @@
 """Logs as folders of files: images of each camera, poses, and perhaps scans of a LiDAR, all with time stamps."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from glob import glob
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from omniocc.bounds import Real, fits
 from omniocc.camera import Rig
 from omniocc.data.formats.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
 from omniocc.data.formats.dataset_scene import outside
@@ -22,9 +24,10 @@ from omniocc.extras.recorders.labels import PointClasses, classes_of, read_point
 from omniocc.extras.recorders.log import Log, Scan, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.poses import PER_SECOND, PosesFormat, read_timed_poses, seconds, stated_pose
-from omniocc.extras.recorders.turns import seconds_of
+from omniocc.extras.recorders.turns import OPEN_S, are_after, seconds_of
 from omniocc.images import Depth, content_of
 
+Corner = tuple[Real, Real, Real]
 LIDAR_KEYS = {
     "folder": ...,
     "ego_from_lidar": ...,
@@ -167,10 +170,16 @@ class LogFiles(LogRecorder):
         files = self._stamped("lidar.folder", options["folder"], tuple(READERS), table)
         classes = read_point_classes(None if options["classes"] is None else self.folder / options["classes"])
 
+        def cloud_of_file(number: int) -> RawCloud:
+            return read_cloud(files.paths[number], options["label_field"], options["columns"])
+
+        @cache
+        def after() -> bool | None:
+            return are_after(cloud_of_file(-1).times, files.times_s[-1])
+
         def read(number: int) -> Scan:
-            path = files.paths[number]
-            cloud = read_cloud(path, options["label_field"], options["columns"])
-            return ego_scan(cloud, files.times_s[number], options["ego_from_lidar"], classes, options, str(path))
+            place = options["ego_from_lidar"], classes, options, str(files.paths[number])
+            return ego_scan(cloud_of_file(number), files.times_s[number], after, *place)
 
         position_m = options["ego_from_lidar"][:3, 3]
         return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table, position_m), [
@@ -183,33 +192,46 @@ def lidar_options(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[st
     """Return the options of a LiDAR with defaults filled in; raise ValueError for unknown, missing and wrong ones."""
     if unknown := set(given) - set(known):
         raise ValueError(f"lidar has no option {', '.join(sorted(unknown))}; its options are {', '.join(known)}")
-    if missing := [key for key, value in known.items() if value is ... and key not in given]:
+    if missing := [key for key, value in known.items() if value is ... and given.get(key) is None]:
         raise ValueError(f"lidar.{missing[0]} is missing")
     options = {**known, **given}
     if options["ego_from_lidar"] is not None:
         options["ego_from_lidar"] = stated_pose("lidar.ego_from_lidar", options["ego_from_lidar"])
     box = options["own_car_m"]
-    if box is not None and np.shape(box) != (2, 3):
+    if box is not None and not is_box(box):
         raise ValueError(f"lidar.own_car_m is {box}; give the lowest and the highest x, y, z: [[x, y, z], [x, y, z]]")
+    if not isinstance(options["deskew"], bool):
+        raise ValueError(f"lidar.deskew is {options['deskew']}; give true or false")
     if "columns" in options and (not isinstance(options["columns"], int) or options["columns"] < 3):
         raise ValueError(f"lidar.columns is {options['columns']}; a point has at least 3 numbers")
     return options
 
 
+def is_box(value: Any) -> bool:
+    """Return whether a value is the lowest and the highest corner of a box, three finite numbers each."""
+    return fits(value, tuple[Corner, Corner]) and all(low < high for low, high in zip(*value, strict=True))
+
+
 def ego_scan(
     cloud: RawCloud,
     scan_s: float,
+    after: Callable[[], bool | None],
     ego_from_lidar: Float64[np.ndarray, "4 4"],
     classes: PointClasses,
     options: Mapping[str, Any],
     where: str,
 ) -> Scan:
-    """Return the points of a scan in the ego frame with classes and times, without those in the box of the own car."""
+    """Return the points of a scan in the ego frame with classes and times, without those in the box of the own car.
+
+    `after` returns what `are_after` does for the last scan of the log; it is asked where this scan cannot tell.
+    """
     labels = classes_of(cloud.labels, len(cloud.points_m), classes, where)
     points_m = transform_points(ego_from_lidar, cloud.points_m).astype(np.float32)
     box_m = options["own_car_m"]
     kept = np.ones(len(points_m), bool) if box_m is None else outside(points_m, *box_m)
-    times_s = seconds_of(cloud.times[kept], scan_s, where) if options["deskew"] and cloud.times is not None else None
+    times_s = None
+    if options["deskew"] and cloud.times is not None:
+        times_s = seconds_of(cloud.times[kept], scan_s, where, after() if abs(scan_s) <= OPEN_S else None)
     return Scan(Points(points_m[kept], labels[kept]), times_s)
 
 

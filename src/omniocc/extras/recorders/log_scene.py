@@ -15,10 +15,11 @@ from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
 from omniocc.data.check_source import FAR_M, distances_m, out_of_reach
+from omniocc.data.formats.dataset_scene import Cloud
 from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.poses import transform_points
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
-from omniocc.data.source import SPLITS, Points, SourceSpec
+from omniocc.data.source import SPLITS, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.meta import append_frame, finish_scene, panorama_of, recorded_spec
 from omniocc.data.store.reader import BOXES, LIDAR_POSITION, SceneReader
@@ -274,25 +275,30 @@ def _write_scene(
         report(len(plan.times_s))
         return
     assert rig.road_z_m is not None
-    panorama = panorama_of(options.panorama)
+    panorama, positions_m = panorama_of(options.panorama), list[list[float]]()
     with closing(SceneWriter(folder)) as writer:
         spec = spec_of_log(log, plan, rig.road_z_m)
         for number in range(len(plan.times_s)):
-            frame = read_frame(log, plan, number, rig, panorama)
+            frame, position_m = read_frame(log, plan, number, rig, panorama)
+            positions_m += [] if position_m is None else [position_m.tolist()]
             if frame.points_m is not None and (reason := out_of_reach(frame.points_m, spec.reach_m)):
                 reasons.append(reason)
             append_frame(writer, frame)
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": options.moving}
-        facts |= {} if log.scans is None else {LIDAR_POSITION: log.scans.position_m.tolist()}
+        facts |= {} if log.scans is None else {LIDAR_POSITION: positions_m}
         facts |= {} if log.scans is None or log.scans.boxes is None else {BOXES: True}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})
 
 
-def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:
+def read_frame(
+    log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular
+) -> tuple[RecordedFrame, np.ndarray | None]:
     """Return one frame of a log at the size of `rig`; with a LiDAR also its points and their ranges in all images.
+
+    The second is where its rays start, (3,), m, in the ego frame; None without a LiDAR.
 
     Raises:
         DataError: naming the image or scan that is damaged.
@@ -302,32 +308,36 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
         image, where = log.read_image(camera, int(plan.images[number, camera]))
         images.append(scale_image(image, calibrated, (scaled.width, scaled.height), where))
     frame = RecordedFrame(float(plan.times_s[number] - plan.times_s[0]), plan.world_from_ego[number], np.stack(images))
-    points = read_points(log, plan, number)
-    if points is None:
-        return frame
-    return replace(
+    cloud = read_points(log, plan, number)
+    if cloud is None:
+        return frame, None
+    frame = replace(
         frame,
-        range_m=np.stack([image.range_m for image in onto_cameras(points.points_m, None, rig)]),
-        erp_range_m=onto_panorama(points.points_m, None, panorama).range_m,
-        points_m=points.points_m,
-        point_labels=points.labels,
+        range_m=np.stack([image.range_m for image in onto_cameras(cloud.points_m, None, rig)]),
+        erp_range_m=onto_panorama(cloud.points_m, None, panorama).range_m,
+        points_m=cloud.points_m,
+        point_labels=cloud.labels,
         boxes=read_boxes(log, plan, number),
     )
+    return frame, cloud.origin_m
 
 
-def read_points(log: Log, plan: Plan, number: int) -> Points | None:
-    """Return the points of a frame's scan in its ego frame; None without a LiDAR, DataError for a damaged scan."""
+def read_points(log: Log, plan: Plan, number: int) -> Cloud | None:
+    """Return the points of a frame's scan in its ego frame; None without a LiDAR, DataError for a damaged scan.
+
+    The car moves between the times of the frame and of the scan, and so does the origin of the rays. In a turn whose
+    points have times it is where the LiDAR was at their median.
+    """
     if log.scans is None or plan.scans is None:
         return None
     points, times_s = log.scans.read(int(plan.scans[number]))
+    points_m = np.concatenate([points.points_m, log.scans.position_m[None]]).astype(np.float32)
     if times_s is not None:
-        there = log.pose_times_s, log.world_from_ego
-        points_m = at_one_time(points.points_m, times_s, *there, plan.world_from_ego[number])
-    elif plan.ego_from_scan is not None:  # the car moves between the time of the frame and the time of the scan
-        points_m = transform_points(plan.ego_from_scan[number], points.points_m).astype(np.float32)
-    else:
-        return points
-    return points._replace(points_m=points_m)
+        times_s = np.append(times_s, np.median(times_s))
+        points_m = at_one_time(points_m, times_s, log.pose_times_s, log.world_from_ego, plan.world_from_ego[number])
+    elif plan.ego_from_scan is not None:
+        points_m = transform_points(plan.ego_from_scan[number], points_m).astype(np.float32)
+    return Cloud(points_m[:-1], points.labels, points_m[-1])
 
 
 def read_boxes(log: Log, plan: Plan, number: int) -> tuple[Box, ...]:

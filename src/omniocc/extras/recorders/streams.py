@@ -35,11 +35,12 @@ def gap_s(times_s: Float64[np.ndarray, " S"], at_s: Float64[np.ndarray, " F"]) -
 def paced(times_s: Float64[np.ndarray, " S"], interval_s: float | None) -> Int64[np.ndarray, " F"]:
     """Return the samples that are nearest to every multiple of an interval after the first; all of them with None.
 
-    Multiples in gaps of the stream, without a sample within half the interval, have none.
+    Multiples in gaps of the stream, without a sample within half the interval, have none, nor have those after its end.
     """
-    if interval_s is None or not len(times_s):
+    if interval_s is None or len(times_s) < 2:
         return np.arange(len(times_s))
-    count = int((times_s[-1] - times_s[0]) / interval_s + 0.5) + 1
+    late_s = np.median(np.diff(times_s)) / 2  # of the last sample, whose time may differ a little
+    count = int((times_s[-1] - times_s[0] + late_s) / interval_s) + 1
     found = nearest(times_s, times_s[0] + interval_s * np.arange(count), interval_s / 2)
     return np.unique(found[found != MISSING])
 

@@ -10,11 +10,15 @@ from omniocc.extras.recorders.streams import interpolate
 
 SHORTEST_S, LONGEST_S = 2e-3, 1.0
 """Limits of the time that the points of a scan span, and of the time between them and the stamp of the scan."""
+OPEN_S = 2 * LONGEST_S
+"""At stamps up to this, times after the stamp and by the clock may both fit."""
 TICK_S = 2.5e-4
 """Points within this time have one pose: at 30 m/s the car moves 8 mm."""
 
 
-def seconds_of(times: np.ndarray, scan_s: float, where: str) -> Float64[np.ndarray, " P"] | None:
+def seconds_of(
+    times: np.ndarray, scan_s: float, where: str, after: bool | None = None
+) -> Float64[np.ndarray, " P"] | None:
     """Return the times of the points of a scan by the clock of its stamp, s; None if all are equal.
 
     Drivers write them after the stamp of the scan or by the clock, in s, ms, us or ns: with limits that are less than
@@ -24,23 +28,40 @@ def seconds_of(times: np.ndarray, scan_s: float, where: str) -> Float64[np.ndarr
         times: (P,) of the points, of any type of numbers.
         scan_s: stamp of the scan.
         where: file or message, for errors.
+        after: whether they are after the stamp (`are_after`); None: what fits better.
 
     Raises:
         DataError: if no unit fits.
     """
     if not len(times) or (times == times[0]).all():
         return None
-    for per_second in PER_SECOND.values():
-        found_s = times.astype(np.float64) / per_second
-        middle_s = np.median(found_s)
-        if abs(middle_s) < abs(middle_s - scan_s):
-            found_s += scan_s
-        if np.ptp(found_s) >= SHORTEST_S and np.abs(found_s - scan_s).max() <= LONGEST_S:
-            return found_s
+    if (found := _fitting(times, scan_s, after)) is not None:
+        return found[0]
     raise DataError(
         f"{where}: the times of its points, {times.min()} to {times.max()}, are not those of a turn at {scan_s:.6f} s "
         "in s, ms, us or ns; lidar.deskew=false reads the points without them"
     )
+
+
+def are_after(times: np.ndarray | None, scan_s: float) -> bool | None:
+    """Return whether the times of a scan are after its stamp, not by the clock; None if they do not tell.
+
+    Where the clock of a log begins at 0, only late scans can tell: at the stamp .1 s, .05 s may be either.
+    """
+    found = None if times is None or not len(times) else _fitting(times, scan_s, None)
+    return None if found is None else found[1]
+
+
+def _fitting(times: np.ndarray, scan_s: float, after: bool | None) -> tuple[Float64[np.ndarray, " P"], bool] | None:
+    """Return the times by the clock, s, in the first unit that fits, and whether they are after the stamp."""
+    for per_second in PER_SECOND.values():
+        found_s = times.astype(np.float64) / per_second
+        middle_s = np.median(found_s)
+        late = bool(abs(middle_s) < abs(middle_s - scan_s)) if after is None else after
+        found_s = found_s + scan_s if late else found_s
+        if np.ptp(found_s) >= SHORTEST_S and np.abs(found_s - scan_s).max() <= LONGEST_S:
+            return found_s, late
+    return None
 
 
 def at_one_time(
