@@ -5,6 +5,7 @@ Each scene becomes a folder of images, poses and scans of one LiDAR without clas
 """
 
 import argparse
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -113,13 +114,25 @@ def write_bag(scene: SceneReader, path: Path) -> None:
             write(POSES, "geometry_msgs/msg/PoseStamped", stamp_ns, "map", pose=posed)
 
 
+def record_command(scene: SceneReader, bag: Path, output: Path) -> str:
+    """Return the command that records a bag that `write_bag` wrote."""
+    images = ", ".join(f"{name}: /{name}/image/compressed" for name in scene.rig.names)
+    pose = "ego_from_lidar: {position_m: [0, 0, 0], quaternion_wxyz: [1, 0, 0, 0]}"
+    options = {"name": scene.name, "bag": bag, "rig": f"{bag}.yaml", "poses": POSES}
+    options |= {"cameras": f"{{{images}}}", "lidar": f"{{topic: {POINTS}, {pose}}}"}
+    words = [f"output={output}", "recorder=bag", *(f"recorder.{key}={value}" for key, value in options.items())]
+    return shlex.join(["python", "src/record.py", *words])
+
+
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
     """Write every scene of a folder."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", type=Path, help="folder of rendered scenes, or of one scene")
     parser.add_argument("logs", type=Path, help="folder of the logs")
-    parser.add_argument("--bag", action="store_true", help="bags instead of folders")
+    parser.add_argument(
+        "--bag", action="store_true", help="bags instead of folders; prints the commands to record them"
+    )
     options = parser.parse_args(arguments)
     folders = [options.scenes] if (options.scenes / META).is_file() else sorted(options.scenes.glob("[!.]*/"))
     scenes = [SceneReader(folder) for folder in folders if (folder / META).is_file()]
@@ -130,6 +143,9 @@ def main(arguments: list[str] | None = None) -> None:
             (write_bag if options.bag else write_folder)(scene, options.logs / scene.name)
             for _ in range(len(scene)):
                 progress.advance()
+    if options.bag:
+        folder = options.logs.with_name(f"recorded_{options.logs.name}")
+        print("\n".join(record_command(scene, options.logs / scene.name, folder) for scene in scenes))
 
 
 if __name__ == "__main__":

@@ -126,9 +126,7 @@ def test_rays_of_other_frames_need_poses():
     scene = Scene([(0, 0, 0)] * 2, [AWAY] * 2)
     scene.has_poses = False
     assert rays_around(scene, 0, RayWindow([0], True)) is not None
-    with pytest.raises(
-        UserError, match=r"^loss\.rays\.frames=\[-1, 0\]: 'made' has no poses .*frames=\[0\]$"
-    ):
+    with pytest.raises(UserError, match=r"^loss\.rays\.frames=\[-1, 0\]: 'made' has no poses .*frames=\[0\]$"):
         rays_around(scene, 0, RayWindow([-1, 0], True))
 
 

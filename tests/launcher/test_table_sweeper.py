@@ -98,6 +98,9 @@ def test_mistakes_are_named():
         jobs("+sweep=refin,sketch")
     with pytest.raises(UserError, match=r"\+row=mono: there is no such row in refine; choose ours, refine_att"):
         jobs("+sweep=refine", "+row=mono")
+    for name in ("power", "dataset"):
+        with pytest.raises(UserError, match=rf"\+sweep={name}: this is no table of methods that can be trained"):
+            jobs(f"+sweep={name}")
     with pytest.raises(UserError, match=r"row gone has no overrides.*conf/ablation"):
         jobs_of({"rows": {"gone": {"title": "a"}}}, {})
 

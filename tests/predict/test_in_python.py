@@ -63,7 +63,8 @@ def test_a_rig_at_another_height_moves_the_grid(tmp_path, capsys, composed, monk
         (images[:3], "3 images for 4 cameras; give one each, of front"),
         (images[:, :, 1:-30], "camera 'front': the image is 289x213 px, but its camera is calibrated for 960x640 px"),
         (images / 255, r"the image is float64 \(213, 320, 3\); give a numpy array"),
-        (["a.png"] * 4, "the image is str; give a numpy array"),
+        (["a.png"] * 4, r"images are files or a folder; give arrays \(H, W, 3\) uint8"),
+        ("my_images", r"images are files or a folder; give arrays \(H, W, 3\) uint8"),
     ):
         with pytest.raises(UserError, match=message):
             omniocc.load("tiny").predict(wrong, "surround_view")

@@ -78,6 +78,14 @@ def test_the_times_of_validation_decide_the_best_checkpoint_and_no_earlier_stage
     assert stage_keys(first, "data") == stage_keys(other, "data")
 
 
+def test_a_run_that_goes_on_from_another_has_a_folder_of_its_own(smoke, tmp_path):
+    path, hashes = tmp_path / "last.ckpt", [run_hash(plain(smoke()), "data")]
+    for content in ("one", "other"):
+        path.write_text(content)
+        hashes.append(run_hash(plain(smoke(f"resume={path}")), "data"))
+    assert len(set(hashes)) == 3
+
+
 @pytest.mark.parametrize(
     "words",
     ["seed=1", "trainer.precision=bf16-mixed", "data.batch_size=1", "data.range_edges_m=[0,9]", "data.ray_azimuths=36"],

@@ -29,6 +29,14 @@ def test_a_value_that_the_trainer_does_not_take_is_named(smoke):
         check_devices(Parts(smoke("trainer.limit_val_batches=-3.0")))
 
 
+def test_a_class_that_the_trainer_cannot_build_is_told_with_the_reason(smoke):
+    with pytest.raises(UserError, match=r"trainer\.strategy=fsdp: .* cannot do that \(.*\w.*\)$") as caught:
+        check_devices(Parts(smoke("trainer.strategy=fsdp")))
+    assert "problem in the configuration" not in str(caught.value)
+    with pytest.raises(UserError, match=r"cannot do that"):
+        check_devices(Parts(smoke("+trainer.max_time=1")))
+
+
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
     with pytest.raises(UserError, match=r"model.hints.pixel_classes=true needs a 2D head"):
         make_task("model/semantic_head=none", "model.hints.pixel_classes=true")

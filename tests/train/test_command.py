@@ -32,6 +32,7 @@ from omniocc.train.stage_keys import STAGES
             "stages.sketch.batch_size=2 model.geometry.shape=[1000000, 10",
         ),
         ("depth.panorama.width=65536 depth.panorama.height=65536 stages.depth.batch_size=1000", "GiB of memory"),
+        ("+trainer.val_check_interval=2", "trainer.val_check_interval=2 has no effect: steps end the training"),
         ("data.seed=5", "data.seed=5 has no effect: the order of samples follows from stages.<stage>.seed"),
         ("stage=depth weights=tiny", "weights=tiny is for the occupancy stage, which stage=depth leaves out; stages"),
         ("stage=sketch resume=a.ckpt", "resume=a.ckpt is for the occupancy stage, which stage=sketch leaves out"),

@@ -61,6 +61,7 @@ def test_a_missing_stage_is_an_error_with_a_remedy(omni):
         ("trainer.accelerator=cpu", []),
         ("trainer.devices=2", ["depth", "sketch", "candidates"]),
         ("data.samples_per_scene=2", ["depth", "sketch", "candidates"]),
+        ("data.range_edges_m=[0,9]", ["depth", "sketch", "candidates"]),
         ("trainer.strategy=ddp", []),
         ("seed=3", ["depth", "sketch", "candidates"]),
         (("seed=3", "stages.depth.seed=0", "stages.sketch.seed=0"), []),

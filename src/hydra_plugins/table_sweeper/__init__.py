@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.types import Override
@@ -31,6 +32,8 @@ class TableSweeper(BasicSweeper):
 
     def split_arguments(self, overrides: list[Override], max_batch_size: int | None) -> list[list[list[str]]]:
         """Return batches of jobs, a list of overrides each."""
+        if max_batch_size is not None and max_batch_size < 1:
+            raise UserError(f"hydra.sweeper.max_batch_size={max_batch_size}: give 1 or more, or null for one batch")
         names, chosen = (values_of(overrides, key) for key in (f"+{TABLES}", ROW))
         others = [one for one in overrides if not names or one.get_key_element() not in (f"+{TABLES}", ROW)]
         (jobs,) = BasicSweeper.split_arguments(others, None)
@@ -61,5 +64,8 @@ class TableSweeper(BasicSweeper):
         assert self.hydra_context is not None
         for source in self.hydra_context.config_loader.get_sources():
             if source.is_config(f"{TABLES}/{name}.yaml"):
-                return OmegaConf.to_container(source.load_config(f"{TABLES}/{name}.yaml").config)  # type: ignore
+                table: Any = OmegaConf.to_container(source.load_config(f"{TABLES}/{name}.yaml").config)
+                if "rows" not in table or "kind" in table:
+                    raise UserError(f"+{TABLES}={name}: this is no table of methods that can be trained")
+                return table
         raise UserError(f"+{TABLES}={name}: there is no such table")

@@ -65,6 +65,11 @@ def with_focal_factors(rig: Rig, factors: Sequence[float]) -> Rig:
     return replace(rig, cameras=tuple(with_focal_factor(camera, factor) for camera, factor in pairs))
 
 
+def has_centre(camera: Camera) -> bool:
+    """Return whether a lens model has an optical centre; images of panoramas have none."""
+    return "center_px" in {field.name for field in fields(cast(Any, camera))}
+
+
 def with_focal_factor(camera: Camera, factor: float) -> Camera:
     """Return a camera whose pixels are `factor` times as far from its optical centre, for every lens model.
 
@@ -73,7 +78,7 @@ def with_focal_factor(camera: Camera, factor: float) -> Camera:
     Raises:
         ValueError: naming the camera model whose images have no centre.
     """
-    if "center_px" not in {field.name for field in fields(cast(Any, camera))}:
+    if not has_centre(camera):
         raise ValueError(f"{type(camera).__name__} has no centre, so that no focal length could be wrong")
     width, height = camera.width, camera.height
     canvas = cast(Camera, replace(cast(Any, camera), width=STEPS * width, height=STEPS * height))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from omniocc.config import check_values
 from omniocc.runs.script import quiet_libraries, require, script
 
 
@@ -11,6 +12,7 @@ from omniocc.runs.script import quiet_libraries, require, script
 def main(cfg: DictConfig) -> None:
     """Check the options, export, print a line about the files."""
     require(cfg, ("checkpoint", "rig"), "export.py")
+    check_values(cfg, dict.fromkeys(("checkpoint", "rig", "output"), str))
     from omniocc.export import export_files
     from omniocc.predict.options import load_rig
 

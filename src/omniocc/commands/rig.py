@@ -26,7 +26,7 @@ def show(cfg: DictConfig) -> None:
 
     quiet_libraries()
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else cfg.images
-    check_values(cfg, {"image_bits": int | None})
+    check_values(cfg, {"rig": str, "output": str, "image_bits": int | None})
     show_rig(cfg.rig, images, Path(cfg.output), names_of(cfg.exclude_cameras), cfg.image_bits)
 
 

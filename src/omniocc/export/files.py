@@ -20,7 +20,7 @@ from omniocc.errors import UserError, first_line, installing
 from omniocc.export.contract import contract_of
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
-from omniocc.predict.input.images import even_size
+from omniocc.predict.input.images import check_width, even_size
 from omniocc.predict.input.sequence import with_road
 from omniocc.predict.predictor import seen_cells
 from omniocc.predict.trained import load
@@ -47,12 +47,13 @@ def export_files(
     """
     if output.suffix not in SUFFIXES:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
+    check_width(image_width)
     found = load(checkpoint)
     model, trained = found.occupancy, found.facts
     rig, height_m, line = trained.place(with_road(rig, road_z_m))
     if line:
         print(f"road: {line}", file=sys.stderr, flush=True)
-    rig = scale_rig(rig, image_width or trained.width_for(rig))
+    rig = scale_rig(rig, trained.width_for(rig) if image_width is None else image_width)
     module = make_module(model, rig, found.occupied_above)
     print(f"tracing the network of {found.path}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)

@@ -49,7 +49,8 @@ def predict_panoramas(
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
     """
     bag = bag_path(cfg.write_bag, bags)
-    check_values(cfg, {"image_width": int | None, "image_bits": int | None, "bev_range_m": HALF_M})
+    texts = {"images": str | Sequence[str], "output": str, "rig": str | None}
+    check_values(cfg, {**texts, "image_width": int | None, "image_bits": int | None, "bev_range_m": HALF_M})
     cfg.exclude_cameras = names_of(cfg.exclude_cameras)
     given = OwnImages(*(_plain(cfg[key]) for key in OwnImages._fields))
     with own_images(given, bags and bags.read) as sequence:

@@ -212,8 +212,9 @@ class Trained:
         facts, device = self.facts, choose_device(None)
         width, classes = facts.width_for(rig), facts.classes
         placed, raised_m, message = facts.place(rig)
-        if message:
-            print(f"road      {message}", file=sys.stderr, flush=True)
+        lines = [f"road      {message}"] if message else []
+        lines += [] if facts.has(rig) else [f"cameras   {facts.compare(rig)}"]
+        print("".join(f"{line}\n" for line in lines), end="", file=sys.stderr, flush=True)
         predictor = Predictor(self.occupancy, width, (), device, self.occupied_above)
         found = predictor.step(Input(*predictor.scaled(frame, placed)), Stopwatch(device, STEPS)).without_unseen()
         grid, colors = raise_grid(self.occupancy.geometry, raised_m), classes.palette[: classes.num_classes]
@@ -251,6 +252,10 @@ class Trained:
 
 def check_images(images: Images, rig: Rig) -> None:
     """Raise UserError unless each camera has one array (H, W, 3) uint8 in the aspect ratio of its calibration."""
+    if any(isinstance(image, str) for image in images):  # of a path the letters
+        raise UserError(
+            "images are files or a folder; give arrays (H, W, 3) uint8, or use python src/predict.py images=..."
+        )
     if len(images) != len(rig.names):
         raise UserError(f"{len(images)} images for {len(rig.names)} cameras; give one each, of {', '.join(rig.names)}")
     for image, name, camera in zip(images, rig.names, rig.cameras, strict=True):

@@ -8,7 +8,7 @@ from typing import Any
 from omniocc.config import dotted
 from omniocc.errors import UserError
 from omniocc.report.runs import GRID, FinishedRun, grid_kind
-from omniocc.runs.folder import OF_MACHINES, VOLATILE, is_clean
+from omniocc.runs.folder import OF_MACHINES, VOLATILE, WITHOUT_START, is_clean
 from omniocc.runs.results import FINISHED, METRICS, PROTOCOL, says_the_same, utc_text
 from omniocc.runs.table import SCORES
 
@@ -166,6 +166,7 @@ def differences(runs: Sequence[FinishedRun]) -> str:
 def comparable_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration without name, seed, machine and `VOLATILE`, by dotted key; equal for runs of one row."""
     values = dotted({key: value for key, value in config.items() if key not in ("name", *VOLATILE)})
+    values |= {"resume": given} if (given := config.get("resume")) not in (None, *WITHOUT_START) else {}
     return {key: value for key, value in values.items() if not set(key.split(".")) & set(BESIDE_ROW)}
 
 

@@ -44,6 +44,8 @@ VOLATILE = (
     "preset",
 )
 """Root keys that do not change what a run computes; those that a recipe or a part refers to count there."""
+WITHOUT_START = ("auto", "never")
+"""Values of `resume` that name no checkpoint."""
 LAST_STAGE = "occupancy"
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "log_every_n_steps", "enable_model_summary")
 """Keys at any depth that do not change what a run computes: where data lie, and how a machine reads and tells them."""
@@ -86,6 +88,8 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     kept = without_machine({key: value for key, value in config.items() if key not in (*VOLATILE, *unused)})
     stages = config["stages"] if learns else (LAST_STAGE,)
     kept["stages"] = with_digests(config["stages"], stages)
+    if (given := given_checkpoint(config.get("resume", "auto"))) is not None:  # another start gives another result
+        kept["resume"] = sha256(given)
     return short_hash([kept, data_fingerprint, *foreign_code(kept)])
 
 
@@ -178,7 +182,7 @@ def _has_gone_on_from(path: Path, given: Path) -> bool:
 
 def given_checkpoint(resume: str) -> Path | None:
     """Return the checkpoint that `resume` names, if it names one; raise FileNotFoundError when missing."""
-    if resume in ("auto", "never"):
+    if resume in WITHOUT_START:
         return None
     if not Path(resume).is_file():
         raise FileNotFoundError(f"resume={resume}: there is no such checkpoint; auto goes on where this run was")

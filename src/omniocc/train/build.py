@@ -7,6 +7,7 @@ from typing import Any
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import OmegaConf
 
+from omniocc.config import ConfigError
 from omniocc.data import SourceSpec
 from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError, first_line
@@ -30,8 +31,9 @@ def check_devices(parts: Parts) -> None:
     """
     try:
         parts.trainer()
-    except (MisconfigurationException, MemoryError, TypeError, ValueError) as error:
-        reason, trainer = first_line(error), parts.cfg.trainer
+    except (MisconfigurationException, MemoryError, AttributeError, TypeError, ValueError) as error:
+        trainer = parts.cfg.trainer
+        reason = "; ".join(error.problems) if isinstance(error, ConfigError) else first_line(error)
         named = [key for key in trainer if str(key) in reason and key not in MACHINE]
         asked = " ".join(f"trainer.{key}={trainer[key]}" for key in named or MACHINE)
         who = "the trainer" if named else "this machine"

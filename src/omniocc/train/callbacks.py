@@ -178,11 +178,12 @@ class StopAtSignal(Checkpoint):
     The script ends with an error code: what started it must not take the training for finished.
 
     Args:
-        path: file of the checkpoint from which the same command goes on.
+        path: file of the checkpoint from which the training can go on.
+        again: what goes on from it, in words.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, path: Path, again: str = "the same command goes on"):
+        self.path, self.again = path, again
         self._told: str | None = None
         self._earlier: dict[int, Any] = {}
 
@@ -210,7 +211,7 @@ class StopAtSignal(Checkpoint):
     def _stop(self, trainer: Trainer) -> None:
         trainer.save_checkpoint(self.path)
         name = self._told or "SIGTERM"
-        line = f"stopped by {name} at step {trainer.global_step}; the same command goes on"
+        line = f"stopped by {name} at step {trainer.global_step}; {self.again}"
         if name == CTRL_C:
             print(line, file=sys.stderr, flush=True)
             sys.exit(INTERRUPTED)
@@ -220,7 +221,7 @@ class StopAtSignal(Checkpoint):
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
     ) -> None:
         if isinstance(exception, SIGTERMException):  # between steps, or in one process of several
-            message = f"ended by SIGTERM after step {trainer.global_step}; the same command goes on from its checkpoint"
+            message = f"ended by SIGTERM after step {trainer.global_step}; {self.again} from its checkpoint"
             exception.code = message if trainer.is_global_zero else ""
         if self._told != CTRL_C and signal.SIGINT in self._earlier:
             signal.signal(signal.SIGINT, self._earlier[signal.SIGINT])

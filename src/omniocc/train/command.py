@@ -21,7 +21,7 @@ from omniocc.parts import Parts
 from omniocc.runs.distributed import is_first
 from omniocc.runs.folder import given_checkpoint
 from omniocc.runs.machine import keep_freed_memory
-from omniocc.runs.plan import hours_line
+from omniocc.runs.plan import hours_line, validation_times
 from omniocc.runs.slots import slots_line
 from omniocc.train.build import build_task, check_devices, check_memory, line_on_lifter, without_unused_head
 from omniocc.train.stage import Stage, announce
@@ -78,6 +78,13 @@ def check_keys(cfg: DictConfig) -> None:
                 f"{key}={cfg[key]} is for the occupancy stage, which stage={last} leaves out; "
                 f"stages.{last}.weights=... is for this one"
             )
+    recipe, every = cfg.stages[last], "val_check_interval"
+    lengths = recipe.max_steps, recipe.max_epochs, recipe.validate_every_n_epochs
+    if every in cfg.trainer and every in validation_times(*lengths, cfg.trainer.accumulate_grad_batches):
+        raise UserError(
+            f"trainer.{every}={cfg.trainer[every]} has no effect: steps end the training, and validations are spread "
+            f"over it; with stages.{last}.validate_every_n_epochs=1 it counts"
+        )
     if cfg.data.seed != cfg.seed:
         raise UserError(
             f"data.seed={cfg.data.seed} has no effect: the order of samples follows from stages.<stage>.seed, by "

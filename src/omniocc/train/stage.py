@@ -165,6 +165,8 @@ class Stage(ABC):
         barrier()
         if is_first():
             show_results(place.results)
+            if (name := load_results(place.results)[0].get("checkpoint")) is not None:
+                print(f"weights   {place.folder / name}", flush=True)
         return load_results(place.results)[1]
 
     def train(self, task: StageTask, place: Place, title: str) -> None:
@@ -188,7 +190,7 @@ class Stage(ABC):
                 duration,
                 *self.callbacks(place, data),
                 LastCheckpoint(last, cfg.checkpoint_every_n_steps),
-                StopAtSignal(last),
+                StopAtSignal(last, *([f"resume={last} goes on"] if cfg.resume == "never" else [])),
             ],
             plugins=[AtomicCheckpointIO()],
             logger=self.parts.loggers().build(place.folder, self.parts.config, self.NAME),

@@ -68,9 +68,11 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
+    bands = config["data"].get("range_edges_m")  # of the scores of both stages
+    known = [data_fingerprint, *appearance, *([] if bands is None else [["bands", bands]])]
     depth_key = short_hash(
         [
-            *(VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint, *appearance),
+            *(VERSIONS["depth"], config["depth"], stages["depth"], trainer, *known),
             *foreign_code([config["depth"], stages["depth"], *appearance]),
         ]
     )

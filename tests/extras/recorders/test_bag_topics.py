@@ -76,6 +76,8 @@ def test_a_file_names_cameras_alone_or_more(tmp_path):
         ("limit: 1\nposes: tf\n", "there is no key 'limit' (is it 'limit_s'?)"),
         ("front: 3\n", "cameras is {'front': 3}; it must be a mapping"),
         ("limit_s: 0\n", "limit_s is 0; it must be a time in s"),
+        ("limit_s:\n", "limit_s is None; it must be a time in s"),
+        ("pose_gap_s: true\n", "pose_gap_s is True; it must be a time in s"),
         ("poses: [1]\n", "poses is [1]; it must be a name"),
     ):
         path.write_text(text)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omniocc.camera import Equidistant
+from omniocc.camera import MEI, Equidistant, Pinhole
 from omniocc.errors import DataError
-from omniocc.extras.recorders.messages import image_of
+from omniocc.extras.recorders.bag import is_rectified
+from omniocc.extras.recorders.messages import camera_of, image_of
 from omniocc.images import Depth
 
 CAMERA = Equidistant(8, 6, 3.0, (3.5, 2.5), 95.0)
@@ -102,3 +103,26 @@ def test_sizes_that_an_encoding_cannot_have_are_refused(encoding, size):
     words = rf"log\.bag, /front: an image of {size[1]}x{size[0]} px cannot have the encoding {encoding}"
     with pytest.raises(DataError, match=words):
         read(raw(encoding, np.zeros(size, np.uint8)))
+
+
+def info(turn=(1, 0, 0, 0, 1, 0, 0, 0, 1)):
+    roi = SimpleNamespace(x_offset=0, y_offset=0)
+    numbers = {"k": [50, 0, 32, 0, 50, 18, 0, 0, 1], "d": [-0.3, 0.08, 0, 0, 0], "r": turn}
+    numbers["p"] = [44, 0, 33, 0, 0, 45, 17, 0, 0, 0, 1, 0]
+    sizes = {"width": 64, "height": 36, "binning_x": 0, "binning_y": 0}
+    return SimpleNamespace(distortion_model="plumb_bob", roi=roi, **numbers, **sizes)
+
+
+def test_rectified_images_have_the_projection_and_no_distortion():
+    assert isinstance(camera_of(info(), "here"), MEI)
+    assert camera_of(info(), "here", rectified=True) == Pinhole(64, 36, (44.0, 45.0), (33.0, 17.0))
+    with pytest.raises(DataError, match=r"^here: the images are rectified and turned \(R\); give rig=<file> instead$"):
+        camera_of(info([0, -1, 0, 1, 0, 0, 0, 0, 1]), "here", rectified=True)
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [("/front/image_rect_color/compressed", True), ("/image_rect", True), ("/rect/image_raw", False)],
+)
+def test_the_names_of_rectified_topics(topic, rectified):
+    assert is_rectified(topic) == rectified

@@ -1,11 +1,13 @@
 """Logs of the virtual world, as folders and as bags, give back what the LiDAR and the cameras of the scene saw."""
 
+import shlex
+
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
 from log_files import built
-from world_log import START_NS, write_bag, write_folder
+from world_log import START_NS, record_command, write_bag, write_folder
 
 from omniocc.data import SceneReader
 from omniocc.errors import UserError
@@ -17,12 +19,11 @@ POSE = "ego_from_lidar: {position_m: [0, 0, 0], quaternion_wxyz: [1, 0, 0, 0]}"
 def test_a_scene_comes_back_from_its_log(original, tmp_path, kind):
     log = tmp_path / "logs" / original.name
     (write_bag if kind == "bag" else write_folder)(original, log)
-    given = [f"{'bag' if kind == 'bag' else 'log'}={log}", "name=train-000-own"]
+    given = [f"log={log}", "name=train-000-own", f"lidar={{folder: lidar, {POSE}}}"]
     if kind == "bag":
-        topics = ", ".join(f"{name}: /{name}/image/compressed" for name in original.rig.names)
-        given += [f"rig={log}.yaml", f"cameras={{{topics}}}", "poses=/odometry", f"lidar={{topic: /points, {POSE}}}"]
-    else:
-        given += [f"lidar={{folder: lidar, {POSE}}}"]
+        words = shlex.split(record_command(original, log, tmp_path / "recorded"))
+        assert words[:4] == ["python", "src/record.py", f"output={tmp_path / 'recorded'}", "recorder=bag"]
+        given = [word.removeprefix("recorder.") for word in words[4:]]
     scene = SceneReader(built(kind, *given).record(tmp_path / "recorded")[0])
     assert (scene.rig.names, scene.rig.cameras) == (original.rig.names, original.rig.cameras)
     np.testing.assert_allclose(scene.rig.ego_from_camera, original.rig.ego_from_camera, atol=1e-6)

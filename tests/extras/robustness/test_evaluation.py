@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import torch
 from made_scenes import RIG, write_checkpoint, write_scene
 
+from omniocc.camera import Panoramic, Rig
 from omniocc.config import build, plain
 from omniocc.data import collate
 from omniocc.data.dataset import WindowDataset
@@ -215,6 +217,21 @@ def test_rendered_parts_are_other_data_with_the_same_scenes(smoke, spec):
             assert other.name != base.name
             undisturbed = parts_of(("front",), ())[0]
             assert test.key(part, "w", other.fingerprint) != test.key(undisturbed, "w", base.fingerprint)
+
+
+def test_another_threshold_gives_other_figures(smoke, spec):
+    test, part = world_test(smoke, spec, {}), parts_of(("front",), ())[0]
+    key = test.key(part, "w", "data")
+    test.task.occupied_above = 0.2
+    assert test.key(part, "w", "data") != key
+
+
+def test_lenses_without_a_centre_have_no_wrong_focal_length(smoke, spec):
+    test = world_test(smoke, spec, {})
+    test.__dict__["rig"] = rig = Rig.load("fisheye6")  # instead of that of a rendered scene
+    assert test.without_centre() == ""
+    test.__dict__["rig"] = replace(rig, masks=None, cameras=(Panoramic(64, 32, 45.0, -45.0), *rig.cameras[1:]))
+    assert test.without_centre() == "focal: images of Panoramic have no centre"
 
 
 def test_facts_can_be_written_as_json(tested):

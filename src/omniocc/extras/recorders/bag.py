@@ -173,7 +173,7 @@ class RosBag(LogRecorder):
             except ValueError as error:
                 raise UserError(f"rig: {error}") from error
         infos = {name: self.camera_info[name] for name in self.cameras}
-        return rig_of_infos(bag, tree, topics, infos, self.base_frame, self.ego_from_base)
+        return rig_of_infos(bag, tree, topics, infos, self.cameras, self.base_frame, self.ego_from_base)
 
     def _scans(self, bag: "Bag", tree: FrameTree, options: Mapping[str, Any]) -> tuple[Scans, list[Any]]:
         """Return the scans, and plain values that differ when other options would give other points."""
@@ -220,10 +220,13 @@ def rig_of_infos(
     tree: FrameTree,
     topics: Mapping[str, Topic],
     infos: Mapping[str, str],
+    images: Mapping[str, str],
     base_frame: str,
     ego_from_base: Float64[np.ndarray, "4 4"],
 ) -> Rig:
     """Return the rig of the topics of CameraInfo by camera, and of the poses in tf that never change.
+
+    `images` are the topics of images by camera; their names tell rectified ones.
 
     Raises:
         UserError, DataError: naming the topic, frame or message that cannot be used.
@@ -231,9 +234,14 @@ def rig_of_infos(
     cameras, poses = [], []
     for name, topic in infos.items():
         info = bag.topic(f"camera_info.{name}", topic, INFOS)
-        cameras.append(camera_of(*bag.message(info.addresses[0])))
+        cameras.append(camera_of(*bag.message(info.addresses[0]), is_rectified(images[name])))
         poses.append(ego_from_base @ tree.fixed(base_frame, info.frame or topics[name].frame))
     return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), tuple(infos))
+
+
+def is_rectified(topic: str) -> bool:
+    """Return whether images of a topic have no distortion any more, by the names of ROS: `/front/image_rect_color`."""
+    return any(part.startswith("image_rect") for part in topic.split("/"))
 
 
 def poses_of(bag: "Bag", tree: FrameTree, poses: str, world_frame: str, base_frame: str) -> TimedPoses:

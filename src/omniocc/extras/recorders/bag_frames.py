@@ -133,7 +133,7 @@ def _rig(
             f"topics=<file>; frames: {in_line(', '.join(tree.names)) or 'none'}"
         )
     topics = image_topics(bag, cameras)
-    rig = rig_of_infos(bag, tree, topics, {name: beside[name] for name in cameras}, base, ego_from_base)
+    rig = rig_of_infos(bag, tree, topics, {name: beside[name] for name in cameras}, cameras, base, ego_from_base)
     check_excluded(given.excluded, rig)
     return rig, cameras
 

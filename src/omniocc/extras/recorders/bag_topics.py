@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from omniocc.camera.protocol import is_finite
 from omniocc.errors import UserError, in_line, repr_of
 from omniocc.io import read_yaml
 from omniocc.predict.input.images import suggest_name
@@ -101,7 +102,7 @@ def _text(value: Any) -> str:
 
 
 def _seconds(value: Any) -> str:
-    return "" if value is None or (isinstance(value, int | float) and value > 0) else "a time in s, above 0"
+    return "" if is_finite(value) and value > 0 else "a time in s, above 0"
 
 
 KINDS: dict[str, Callable[[Any], str]] = {
@@ -113,7 +114,7 @@ KINDS: dict[str, Callable[[Any], str]] = {
     "ego_from_base": lambda _: "",  # checked where it is read
     "reference": _text,
     "limit_s": _seconds,
-    "interval_s": _seconds,
+    "interval_s": lambda value: "" if value is None else _seconds(value),
     "pose_gap_s": _seconds,
 }
 """The keys of the file; each function returns what a value must be, or nothing if it is that."""

@@ -97,14 +97,14 @@ def _pixels(message: Any, channels: int, dtype: np.dtype, where: str) -> np.ndar
     return np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
 
 
-def camera_of(message: Any, where: str) -> Camera:
-    """Return the camera of a CameraInfo: matrix K and distortion D of the image as it was taken.
+def camera_of(message: Any, where: str, rectified: bool = False) -> Camera:
+    """Return the camera of a CameraInfo: matrix K and distortion D of the image as it was taken, P of a rectified one.
 
     `plumb_bob` without distortion is a pinhole, with k1, k2, p1 and p2 it is `MEI` with xi = 0, which is the same
     projection; `equidistant` is `KannalaBrandt`.
 
     Raises:
-        DataError: for another distortion, a cut-out of the image, or numbers that make no camera.
+        DataError: for another distortion, a cut-out of the image, turned images, or numbers that make no camera.
     """
     matrix, distortion = (_field(message, name) for name in ("k", "d"))
     model, coefficients = str(message.distortion_model).lower(), [float(value) for value in distortion]
@@ -112,10 +112,18 @@ def camera_of(message: Any, where: str) -> Camera:
     if max(message.binning_x, message.binning_y) > 1 or roi.x_offset or roi.y_offset:
         raise DataError(f"{where}: binning and cut-outs (roi) are not supported; give rig=<file> instead")
     fx, skew, cx, _, fy, cy, *_ = (float(value) for value in matrix)
+    turn = np.eye(3)
+    if rectified and any(coefficients):
+        turn = np.array(_field(message, "r"), np.float64).reshape(3, 3)
+        projection = np.array(_field(message, "p"), np.float64).reshape(3, 4)
+        (fx, skew, cx), (_, fy, cy) = projection[0, :3].tolist(), projection[1, :3].tolist()
+        model, coefficients = "", []
     size, focal_px, center_px = (int(message.width), int(message.height)), (fx, fy), (cx, cy)
     try:
         if skew:
             raise ValueError(f"the skew is {skew}; it must be 0")
+        if not np.allclose(turn, np.eye(3), atol=1e-4):
+            raise ValueError("the images are rectified and turned (R); give rig=<file> instead")
         if model in FISHEYE:
             return KannalaBrandt(*size, focal_px, center_px, tuple(coefficients), 180.0)
         if not any(coefficients):

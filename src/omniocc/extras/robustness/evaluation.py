@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
+from omniocc.camera import Rig
+from omniocc.camera.miscalibrated import has_centre
 from omniocc.config import plain
 from omniocc.data import Needs, OccupancyData, SceneSource, WindowDataset, collate
 from omniocc.data.loader import Loader
@@ -82,12 +84,16 @@ def robustness_of(
         if "all" not in wanted:
             raise UserError(lost)
         parts, left_out = [part for part in parts if not part.source], [lost]
+    if lenses := test.without_centre():
+        if "all" not in wanted and any(part.group == "focal" for part in parts):
+            raise UserError(lenses)
+        parts, left_out = [part for part in parts if part.group != "focal"], [*left_out, lenses]
     if "all" in wanted and test.renders and not test.unseen:
         left_out.append(NO_UNSEEN)
     for line in left_out:
         print(f"left out: {line}", flush=True)
     scored = test.run(parts, every, folder)
-    setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed, *test.unusual_overrides()])
+    setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed, *test.unusual()])
     facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device)}
     facts |= {"checkpoint": checkpoint.path.name, "seed": seed, "setting": setting, "left out": left_out}
     return Robustness(system_name(checkpoint.path), facts, scored)
@@ -132,8 +138,13 @@ class RobustnessTest:
         return isinstance(source, MadeScenes) and source.made_here
 
     def parts(self) -> list[Part]:
-        """Return all parts for the cameras of the first test scene, which is rendered if it is missing."""
-        return parts_of(self.prepared({}).scenes("test")[0].rigs[0].names, self.unseen)
+        """Return all parts for the cameras of the first test scene."""
+        return parts_of(self.rig.names, self.unseen)
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Return the cameras of the first test scene, which is rendered if it is missing."""
+        return self.prepared({}).scenes("test")[0].rigs[0]
 
     def lost(self, rendered: Sequence[Part]) -> str:
         """Return in words which of the parts that render scenes anew this data cannot have; empty if there is none."""
@@ -141,6 +152,11 @@ class RobustnessTest:
             return ""
         groups = ", ".join(dict.fromkeys(part.group for part in rendered))
         return f"{groups}: only scenes that the virtual world renders on this machine can be rendered anew"
+
+    def without_centre(self) -> str:
+        """Return a line if a camera has no optical centre, so that no focal length can be wrong; else none."""
+        names = {type(camera).__name__ for camera in self.rig.cameras if not has_centre(camera)}
+        return f"focal: images of {', '.join(sorted(names))} have no centre" if names else ""
 
     def source(self, changes: Mapping[str, Any]) -> SceneSource:
         """Return the source of the test scenes with other options, in places that the checkpoint was trained on.
@@ -203,14 +219,15 @@ class RobustnessTest:
         `data` is the fingerprint of the frames that it is tested on.
         """
         model = self.task.config["model"]
-        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.unusual_overrides()])
+        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.unusual()])
 
-    def unusual_overrides(self) -> list[Any]:
-        """Return what is overridden besides the source and changes scores: unknown cells, history, bands, rays."""
+    def unusual(self) -> list[Any]:
+        """Return what else changes scores, where it is not as usual: unknown cells, history, bands, rays, threshold."""
         found, bands = [self.data.ignore, self.data.window], self.data.range_edges_m
         usual = found == ["none", self.task.model.temporal.frames]
         rays = [] if self.data.ray_azimuths is None else [["rays", self.data.ray_azimuths]]
-        return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)]) + rays
+        above = [] if self.task.occupied_above is None else [["above", self.task.occupied_above]]
+        return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)]) + rays + above
 
     @torch.inference_mode()
     def score(self, part: Part, source: SceneSource, advance: Callable[[], None]) -> PartScores:

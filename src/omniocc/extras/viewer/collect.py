@@ -33,7 +33,7 @@ def open_shown(options: ViewOptions, grids: Sequence[Grid] = (PAPER_GRID,)) -> S
         return open_predictions(options)
     trained, device = map(load, options.run), choose_device(options.device)
     models = [
-        TrainedModel(name, one, Predictor(one.occupancy, None, (), device))
+        TrainedModel(name, one, Predictor(one.occupancy, None, (), device, one.occupied_above))
         for name, one in zip(unique_names(options.run), trained, strict=True)
     ]
     scenes = _scenes(options, models)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -62,8 +62,8 @@ def _match_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]
         return [_match_list([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
     if not folder.is_dir():
-        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
-        raise UserError(f"images={images}: there is no such folder{hint}")
+        found = "this is one file; give its folder, or a list with one image per camera: images=[a.png,b.png]"
+        raise UserError(f"images={images}: {found if folder.exists() else 'there is no such folder'}")
     folders = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     frames = sorted((path for path in folders if _image_files(path)), key=natural_key)
     of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
@@ -103,9 +103,11 @@ def _by_camera(folder: Path, folders: Sequence[str], rig: Rig, excluded: Sequenc
     ]
 
 
-def names_of(cameras: str | Sequence[object]) -> list[str]:
-    """Return the names of cameras that an option states: one, or a list."""
-    return [cameras] if isinstance(cameras, str) else list(map(str, cameras))
+def names_of(cameras: Any) -> list[str]:
+    """Return the names of cameras that an option states: one, a list, or None; a name may look like a number."""
+    if cameras is None:
+        return []
+    return list(map(str, cameras)) if isinstance(cameras, Sequence) and not isinstance(cameras, str) else [str(cameras)]
 
 
 def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
@@ -252,12 +254,17 @@ def resized_to_width(
     Raises:
         UserError: when the width is no whole number of px, or too small for an image.
     """
-    if width is not None and (isinstance(width, bool) or not isinstance(width, int) or width < LEAST_PX):
-        raise UserError(f"image_width={width}: give a whole number of px, {LEAST_PX} or more")
+    check_width(width)
     size = even_size(rig.cameras[0], rig.cameras[0].width if width is None else width)
     scaled_rig = rig.resized(*size)
     batch = torch.from_numpy(np.stack([scaled_to(image, size) for image in images]))
     return batch.permute(0, 3, 1, 2).unsqueeze(0).float() / 255, scaled_rig
+
+
+def check_width(width: Any) -> None:
+    """Raise UserError for a width that is no whole number of px, or too small for an image; None is none."""
+    if width is not None and (isinstance(width, bool) or not isinstance(width, int) or width < LEAST_PX):
+        raise UserError(f"image_width={width}: give a whole number of px, {LEAST_PX} or more")
 
 
 LEAST_PX = 16

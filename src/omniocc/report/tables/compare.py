@@ -8,7 +8,7 @@ from itertools import product
 from typing import NamedTuple
 
 from omniocc.errors import UserError, in_line
-from omniocc.report.runs import FinishedRun, grid_name
+from omniocc.report.runs import HASH, FinishedRun, grid_name
 from omniocc.report.selection import mixtures
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.budget import samples_a_step, steps_of_stages
@@ -110,6 +110,10 @@ def row_called(word: str, sweeps: Sequence[Sweep], found: Mapping[str, Sequence[
             return row
     rows = sorted((row for row in found if "@" not in row), key=lambda row: -SequenceMatcher(None, word, row).ratio())
     more = f" and {len(rows) - NEAREST} more" * (len(rows) > NEAREST)
+    runs = [run for sweep in sweeps for members in sweep.rows.values() for run in members]
+    filed = [run for run in runs if run.same_as and HASH.sub("", run.name) == word]
+    if filed:
+        raise UserError(f"{filed[0].name} has the configuration of row {filed[0].row}: compare that one")
     raise UserError(
         f"no finished run of row {in_line(word)}; with runs, nearest first: {', '.join(rows[:NEAREST])}{more}"
     )
