@@ -21,6 +21,11 @@ def test_steps_samples_and_epochs(arguments, line):
     assert line.startswith("without end" if amount.steps is None else f"{amount.steps} steps")
 
 
+@pytest.mark.parametrize(("limit", "steps"), [(1.0, 6), (2, 2), (3, 4), (100, 6), (0.5, 4)])
+def test_limited_epochs_have_fewer_steps(limit, steps):
+    assert Amount(-1, 2, 13, 2, 1, 2, limit).steps == steps  # three steps of two batches in an epoch
+
+
 def test_hours():
     assert hours_line(1000, 0.35) == "0.35 s a step: 5:50 min"
     assert hours_line(1_728_000, 0.5) == "0.50 s a step: 10.0 days"

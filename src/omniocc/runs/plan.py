@@ -1,5 +1,6 @@
 """How much training a stage asks for, in words, before it starts, and when it is validated."""
 
+import math
 from typing import NamedTuple
 
 from omniocc.progress import clock
@@ -20,6 +21,7 @@ class Amount(NamedTuple):
         batch_size: samples per device and step.
         devices: in all machines.
         accumulated: batches per optimiser step.
+        limit: most batches of a device in an epoch, or a fraction of them.
     """
 
     max_steps: int
@@ -28,6 +30,7 @@ class Amount(NamedTuple):
     batch_size: int
     devices: int
     accumulated: int
+    limit: int | float = 1.0
 
     @property
     def samples(self) -> int:
@@ -37,7 +40,9 @@ class Amount(NamedTuple):
     @property
     def steps_of_epoch(self) -> int:
         """Return the optimiser steps of an epoch; the last incomplete one is left out."""
-        return self.frames // self.samples
+        batches = self.frames // self.samples * self.accumulated
+        limited = min(self.limit, batches) if isinstance(self.limit, int) else int(self.limit * batches)
+        return math.ceil(limited / self.accumulated)
 
     @property
     def steps(self) -> int | None:

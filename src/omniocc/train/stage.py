@@ -140,9 +140,8 @@ class Stage(ABC):
     def amount(self, frames: int, trainer: Trainer) -> Amount:
         """Return how much training the recipe asks for, given the number of training frames."""
         recipe, devices = self.recipe, trainer.num_devices * trainer.num_nodes
-        return Amount(
-            recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, trainer.accumulate_grad_batches
-        )
+        batches = trainer.accumulate_grad_batches, trainer.limit_train_batches
+        return Amount(recipe.max_steps, recipe.max_epochs, frames, recipe.batch_size, devices, *batches)
 
     @moved_by("paths.runs")
     def run(self, title: str) -> dict[str, float]:
