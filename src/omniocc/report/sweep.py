@@ -52,7 +52,8 @@ def assign_rows(
     Args:
         runs: finished runs.
         conf: folder of the configuration.
-        rows: names of the tables' rows, whose order decides; those that are not in `known` are found only by name.
+        rows: names of the tables' rows, whose order decides, after those with a file of their own; those that are not
+            in `known` are found only by name.
         known: overrides of rows, of `known_rows`.
 
     Raises:
@@ -60,6 +61,7 @@ def assign_rows(
     """
     named = {*rows, *known}
     tried = [row for row in dict.fromkeys([*rows, *sorted(known)]) if row in known]
+    tried.sort(key=lambda row: list(known[row]) != [f"+{FOLDER}={row}"])
     stated = {row: _stated(conf, known[row]) for row in tried}
     roots = {row: _roots(conf, known[row]) for row in tried}
 
