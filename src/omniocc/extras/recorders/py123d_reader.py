@@ -205,7 +205,8 @@ class Py123dReader:
         kept = np.flatnonzero(places != MISSING)
         if not kept.size:
             raise UserError(f"boxes: none is within limit_s={limit_s:g} of a scan; boxes=false records without them")
-        world_from_ego, _ = interpolate(*self.poses(), times_us / 1e6, limit_s)
+        # scans of frames at the ends of the poses, see `log._motion`
+        world_from_ego, _ = interpolate(*self.poses(), times_us / 1e6, 2 * limit_s)
 
         def read_boxes(number: int) -> tuple[Box, ...]:
             scan = int(kept[number])
