@@ -10,6 +10,7 @@ from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
+from omniocc.extras.viewer import collect
 from omniocc.extras.viewer.collect import open_shown
 from omniocc.extras.viewer.models import mask_labels
 from omniocc.extras.viewer.options import ViewOptions, unique_names
@@ -171,3 +172,11 @@ def test_impossible_choices_are_named_in_a_line(dataset, cylinder_run, tmp_path)
             open_shown(ViewOptions(**options))
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_models_are_shown_with_the_threshold_of_their_weights(monkeypatch):
+    monkeypatch.setattr(collect, "check_classes", lambda *_: None)
+    monkeypatch.setattr(collect, "_scenes", lambda *_: None)
+    monkeypatch.setattr(collect, "show_scenes", lambda scenes, models, grids: models)
+    shown = open_shown(ViewOptions(run=("any-rig", "tiny")))
+    assert [model.predictor.occupied_above for model in shown] == [0.2, None]
