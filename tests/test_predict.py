@@ -191,7 +191,10 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
         with pytest.raises(SystemExit) as caught:
             script.main()
         assert caught.value.code == code
-        assert "usage: python src/predict.py {depth,occupancy,submission}" in capsys.readouterr().out
+        told = capsys.readouterr()
+        assert "usage: python src/predict.py {depth,occupancy,submission}" in told.out
+        unknown = "there is no command 'occupanzy'; did you mean occupancy?\n"
+        assert told.err == (unknown if "occupanzy" in arguments else "")
 
 
 def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):

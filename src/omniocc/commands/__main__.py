@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 import omniocc
+from omniocc.runs.script import HELP, print_unknown_command
 
 COMMANDS = {path.stem: path for path in sorted(Path(__file__).parent.glob("[a-z]*.py"))}
 """Files of the commands by name."""
@@ -16,8 +17,9 @@ def main() -> None:
     sys.excepthook = omniocc.end_in_a_line
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in COMMANDS:
+        print_unknown_command(name, [*COMMANDS])
         print(listed())
-        sys.exit(0 if name in ("-h", "--help") else 2)
+        sys.exit(0 if name in HELP else 2)
     sys.argv[:2] = [str(COMMANDS[name])]  # as if that file had been started: a multirun starts it again
     import_module(f"omniocc.commands.{name}").main()
 

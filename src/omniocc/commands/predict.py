@@ -3,14 +3,13 @@
 `python src/predict.py submission checkpoint=...` writes what a benchmark takes. `occupancy --help` lists the options.
 """
 
-import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from omniocc.extras.viewer.command import open_viewer
-from omniocc.runs.script import quiet_libraries, require, script
+from omniocc.runs.script import chosen_command, quiet_libraries, require, script
 
 
 @script("predict_depth")
@@ -53,13 +52,7 @@ COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}
 
 def main() -> None:
     """Run the command that the first argument names."""
-    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
-        asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(
-            f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists its keys)"
-        )
-        sys.exit(0 if asked else 2)
-    COMMANDS[sys.argv.pop(1)]()
+    COMMANDS[chosen_command([*COMMANDS], "predict.py")]()
 
 
 if __name__ == "__main__":

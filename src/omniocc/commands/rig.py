@@ -6,7 +6,7 @@ from pathlib import Path
 from omegaconf import DictConfig, ListConfig
 
 from omniocc.config import check_values, quoted
-from omniocc.runs.script import quiet_libraries, require, script
+from omniocc.runs.script import chosen_command, quiet_libraries, require, script
 
 
 @script("rig_new")
@@ -35,11 +35,7 @@ COMMANDS = {"new": new, "show": show}
 
 def main() -> None:
     """Run the command that the first argument names; `show` takes the rig without its key."""
-    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
-        asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(f"usage: python src/rig.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists its keys)")
-        sys.exit(0 if asked else 2)
-    command = sys.argv.pop(1)
+    command = chosen_command([*COMMANDS], "rig.py")
     if command == "show" and len(sys.argv) > 1 and "=" not in sys.argv[1] and not sys.argv[1].startswith("-"):
         sys.argv[1] = f"rig={quoted(sys.argv[1])}"
     COMMANDS[command]()

@@ -48,6 +48,7 @@ SUBSTITUTE = "omniocc.substitute"
 SUBSTITUTES = {"–": "-", "—": "-", "±": "+/-", "×": "x", "μ": "u", "µ": "u", "°": " deg", "✓": "yes"}
 SUBSTITUTES |= {"✅": "yes", "☑": "(yes)", "❌": "no"}
 """What is written for characters of our texts; others are decomposed (… is ...), or become a question mark."""
+HELP = ("-h", "--help")
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
@@ -202,6 +203,26 @@ def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
             ArgumentParser._check_help = check  # type: ignore[attr-defined]
 
     return run
+
+
+def chosen_command(commands: Sequence[str], script: str) -> str:
+    """Take the command that the first argument names from the command line, and return it.
+
+    Without one of `commands` print how `script` is used and exit, with code 2 unless that was asked for.
+    """
+    word = sys.argv[1] if len(sys.argv) > 1 else ""
+    if word in commands:
+        return sys.argv.pop(1)
+    print_unknown_command(word, commands)
+    print(f"usage: python src/{script} {{{','.join(commands)}}} key=value ...    (<command> --help lists its keys)")
+    sys.exit(0 if word in HELP else 2)
+
+
+def print_unknown_command(word: str, commands: Sequence[str]) -> None:
+    """Print on stderr that there is no such command, and the nearest one; nothing without a word or for help."""
+    if word and word not in HELP:
+        close = get_close_matches(word, commands, n=1)
+        print(f"there is no command '{word}'{f'; did you mean {close[0]}?' if close else ''}", file=sys.stderr)
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:
