@@ -58,6 +58,8 @@ def test_two_rows_finish_and_one_that_cannot_is_shown_in_a_line(slurm, shared_da
     for path in tmp_path.glob(f"runs/train-*/{METRICS}"):
         assert json.loads(path.read_text())["command"].startswith("python /")
     array = result.stdout.split("number ")[1].split(" ")[0]
+    # a job has written its results some moments before Slurm knows that it has ended
+    until(lambda: not {"RUNNING", "COMPLETING"} & set(states(slurm, array).values()), within_s=60)
     assert sorted(states(slurm, array).values()) == ["COMPLETED", "COMPLETED", "FAILED"]
 
 
