@@ -128,4 +128,4 @@ def test_the_module_of_a_class_is_found_without_running_it():
         if name is not None:
             assert module_of(name) == get_class(name).__module__, path
     assert module_of("omniocc.model.sketch.Nothing") == "omniocc.model.sketch"
-    assert module_of("nobody.knows.This") == "nobody.knows"
+    assert module_of("missing_package.module.Class") == "missing_package.module"

@@ -64,9 +64,10 @@ def seen_line(data: OccupancyData, window: RayWindow) -> str | None:
 
     Cells that no ray crosses or hits are unknown to `data.ignore=unobserved` and to `loss=lidar_rays`.
     """
-    if any(window.frames) and not all(map(has_poses, data.source.scenes("train"))):
+    scenes = data.source.scenes("train")
+    if any(window.frames) and not all(map(has_poses, scenes)):
         return None
-    frames = all_frames(data.source.scenes("train"))
+    frames = all_frames(scenes)
     found = [rays_around(*frames[number], window) for number in evenly_spaced(len(frames), MOST_FRAMES)]
     counts = [rays_seen(data.geometry, rays) for rays in found if rays is not None]
     if not counts:

@@ -19,7 +19,7 @@ from omniocc.errors import UserError
 from omniocc.model.protocols import Depth
 from omniocc.parts import Parts
 from omniocc.runs.distributed import is_first
-from omniocc.runs.folder import given_checkpoint
+from omniocc.runs.folder import WITHOUT_START, given_checkpoint
 from omniocc.runs.machine import keep_freed_memory
 from omniocc.runs.plan import hours_line, validation_times
 from omniocc.runs.slots import slots_line
@@ -73,7 +73,7 @@ def check_keys(cfg: DictConfig) -> None:
     """Raise UserError if a key would have no effect: it is for a stage that is left out, or each stage has its own."""
     last = wanted_stages(cfg)[-1]
     for key in ("resume", "weights"):
-        if last != "occupancy" and cfg[key] not in (None, "auto", "never"):
+        if last != "occupancy" and cfg[key] not in (None, *WITHOUT_START):
             raise UserError(
                 f"{key}={cfg[key]} is for the occupancy stage, which stage={last} leaves out; "
                 f"stages.{last}.weights=... is for this one"

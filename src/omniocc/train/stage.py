@@ -162,11 +162,12 @@ class Stage(ABC):
                     device = self.parts.trainer().strategy.root_device
                     outputs.fill(missing, task, device, self.data.num_workers, title)
         barrier()
+        facts, metrics = load_results(place.results)
         if is_first():
             show_results(place.results)
-            if (name := load_results(place.results)[0].get("checkpoint")) is not None:
+            if (name := facts.get("checkpoint")) is not None:
                 print(f"weights   {place.folder / name}", flush=True)
-        return load_results(place.results)[1]
+        return metrics
 
     def train(self, task: StageTask, place: Place, title: str) -> None:
         """Train from the start or a checkpoint, test, and write figures and facts about the training."""

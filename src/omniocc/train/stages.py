@@ -317,8 +317,8 @@ class OccupancyStage(Stage):
         figures = {name: value for _, known in before.values() for name, value in known.items()}
         log_earlier_stages(trainer.loggers, figures, trainer.global_step)
         save_by_scene(place.folder, task.scores, data.source, task.counted)
-        rows, limit = data.spec.classes.rows, self.parts.cfg.trainer.limit_test_batches
-        whole = limit is None or (isinstance(limit, float) and limit == 1)  # 1 is one batch, 1.0 are all
+        rows, limit = data.spec.classes.rows, trainer.limit_test_batches
+        whole = isinstance(limit, float) and limit == 1  # 1 is one batch, 1.0 are all
         tested = "" if whole else f"; trainer.limit_test_batches={limit}"
         facts: dict[str, Any] = {
             "stages": {name: facts["steps"] for name, (facts, _) in before.items()} | {self.NAME: trainer.global_step},

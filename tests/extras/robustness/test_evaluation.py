@@ -228,7 +228,7 @@ def test_another_threshold_gives_other_figures(smoke, spec):
 
 def test_lenses_without_a_centre_have_no_wrong_focal_length(smoke, spec):
     test = world_test(smoke, spec, {})
-    test.__dict__["rig"] = rig = Rig.load("fisheye6")  # instead of that of a rendered scene
+    test.__dict__["rig"] = rig = Rig.load("fisheye6")  # replaces the rig of a rendered scene
     assert test.without_centre() == ""
     test.__dict__["rig"] = replace(rig, masks=None, cameras=(Panoramic(64, 32, 45.0, -45.0), *rig.cameras[1:]))
     assert test.without_centre() == "focal: images of Panoramic have no centre"
