@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from omniocc.data.formats.clouds import RawCloud
 from omniocc.errors import DataError
-from omniocc.extras.recorders.files import ego_scan
+from omniocc.extras.recorders.files import scans_of
 from omniocc.extras.recorders.labels import read_point_classes
 from omniocc.extras.recorders.turns import are_after, at_one_time, seconds_of
 
@@ -74,11 +74,13 @@ def test_a_late_scan_tells_from_where_times_count():
 
 def test_the_last_scan_tells_for_the_first_ones():
     options, none = {"own_car_m": None, "deskew": True}, read_point_classes(None)
-    points = np.ones((len(AFTER_S), 3), np.float32)
-    for stamp_s, after in ((0.1, True), (0.1, False), (5.0, None)):
-        cloud = RawCloud(points, None, AFTER_S if after in (True, None) else stamp_s + AFTER_S)
-        scan = ego_scan(cloud, stamp_s, lambda after=after: after, np.eye(4), none, options, "here")
-        np.testing.assert_allclose(scan.times_s, stamp_s + AFTER_S)
+    points, stamps_s = np.ones((len(AFTER_S), 3), np.float32), np.array([0.1, 5.0])
+    for is_after in (True, False):
+        times = [AFTER_S if is_after else stamp_s + AFTER_S for stamp_s in stamps_s]
+        clouds = [RawCloud(points, None, one) for one in times]
+        scans = scans_of(stamps_s, clouds.__getitem__, "scan {}".format, np.eye(4), none, options)
+        for number, stamp_s in enumerate(stamps_s):
+            np.testing.assert_allclose(scans.read(number).times_s, stamp_s + AFTER_S)
 
 
 def test_points_of_one_time_need_no_correction():

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +13,9 @@ from omniocc.camera import Rig
 from omniocc.data.formats.clouds import RawCloud
 from omniocc.data.formats.poses import inverse
 from omniocc.errors import DataError, UserError, in_line, installing
-from omniocc.extras.recorders.files import ego_scan, lidar_options, plain_options, stated_depth
+from omniocc.extras.recorders.files import lidar_options, plain_options, scans_of, stated_depth
 from omniocc.extras.recorders.labels import read_point_classes
-from omniocc.extras.recorders.log import Log, ReadImage, Scan, Scans, Timing, chosen_rig
+from omniocc.extras.recorders.log import Log, ReadImage, Scans, Timing, chosen_rig
 from omniocc.extras.recorders.log_scene import LogRecorder, SceneOptions
 from omniocc.extras.recorders.messages import (
     FrameTree,
@@ -29,7 +28,6 @@ from omniocc.extras.recorders.messages import (
     timed,
 )
 from omniocc.extras.recorders.poses import TimedPoses, stated_pose
-from omniocc.extras.recorders.turns import are_after
 from omniocc.images import Depth
 
 LIDAR_KEYS = dict.fromkeys(("ego_from_lidar", "classes", "label_field", "own_car_m")) | {"topic": ..., "deskew": True}
@@ -147,7 +145,6 @@ class RosBag(LogRecorder):
         images = [topics[name] for name in rig.names]
         poses = poses_of(bag, tree, self.poses, self.world_frame, self.base_frame)
         scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
-        given = [*given, *stated_depth(self.depth)]
         return Log(
             place=str(self.bag),
             rig=rig,
@@ -183,20 +180,14 @@ class RosBag(LogRecorder):
         if ego_from_lidar is None:
             ego_from_lidar = self.ego_from_base @ tree.fixed(self.base_frame, topic.frame)
 
-        def cloud_of_message(number: int) -> tuple[RawCloud, str]:
+        def cloud_of_message(number: int) -> RawCloud:
             message, where = bag.message(topic.addresses[number])
-            return cloud_of(message, options["label_field"], where), where
+            return cloud_of(message, options["label_field"], where)
 
-        @cache
-        def after() -> bool | None:
-            return are_after(cloud_of_message(-1)[0].times, topic.times_s[-1])
+        def name(number: int) -> str:
+            return bag.where(topic.addresses[number])
 
-        def read(number: int) -> Scan:
-            cloud, where = cloud_of_message(number)
-            return ego_scan(cloud, topic.times_s[number], after, ego_from_lidar, classes, options, where)
-
-        name, position_m = (lambda number: bag.where(topic.addresses[number])), ego_from_lidar[:3, 3]
-        scans = Scans(topic.times_s, read, name, classes.table, position_m)
+        scans = scans_of(topic.times_s, cloud_of_message, name, ego_from_lidar, classes, options)
         return scans, plain_options({**options, "pose": ego_from_lidar}, classes)
 
 

@@ -173,19 +173,11 @@ class LogFiles(LogRecorder):
         def cloud_of_file(number: int) -> RawCloud:
             return read_cloud(files.paths[number], options["label_field"], options["columns"])
 
-        @cache
-        def after() -> bool | None:
-            return are_after(cloud_of_file(-1).times, files.times_s[-1])
+        def name(number: int) -> str:
+            return str(files.paths[number])
 
-        def read(number: int) -> Scan:
-            place = options["ego_from_lidar"], classes, options, str(files.paths[number])
-            return ego_scan(cloud_of_file(number), files.times_s[number], after, *place)
-
-        position_m = options["ego_from_lidar"][:3, 3]
-        return Scans(files.times_s, read, lambda number: str(files.paths[number]), classes.table, position_m), [
-            *plain_options(options, classes),
-            listing(files, self.folder),
-        ]
+        scans = scans_of(files.times_s, cloud_of_file, name, options["ego_from_lidar"], classes, options)
+        return scans, [*plain_options(options, classes), listing(files, self.folder)]
 
 
 def lidar_options(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,27 +204,42 @@ def is_box(value: Any) -> bool:
     return fits(value, tuple[Corner, Corner]) and all(low < high for low, high in zip(*value, strict=True))
 
 
-def ego_scan(
-    cloud: RawCloud,
-    scan_s: float,
-    after: Callable[[], bool | None],
+def scans_of(
+    times_s: Float64[np.ndarray, " S"],
+    cloud_of: Callable[[int], RawCloud],
+    name: Callable[[int], str],
     ego_from_lidar: Float64[np.ndarray, "4 4"],
     classes: PointClasses,
     options: Mapping[str, Any],
-    where: str,
-) -> Scan:
-    """Return the points of a scan in the ego frame with classes and times, without those in the box of the own car.
+) -> Scans:
+    """Return the scans of a log: points in the ego frame with classes and times, without those in the own car's box.
 
-    `after` returns what `are_after` does for the last scan of the log; it is asked where this scan cannot tell.
+    Args:
+        times_s: (S,) of the scans, increasing.
+        cloud_of: reads the points of a scan as they are.
+        name: file or message of a scan.
+        ego_from_lidar: pose of the LiDAR.
+        classes: of the points.
+        options: with the keys `own_car_m` and `deskew`.
     """
-    labels = classes_of(cloud.labels, len(cloud.points_m), classes, where)
-    points_m = transform_points(ego_from_lidar, cloud.points_m).astype(np.float32)
-    box_m = options["own_car_m"]
-    kept = np.ones(len(points_m), bool) if box_m is None else outside(points_m, *box_m)
-    times_s = None
-    if options["deskew"] and cloud.times is not None:
-        times_s = seconds_of(cloud.times[kept], scan_s, where, after() if abs(scan_s) <= OPEN_S else None)
-    return Scan(Points(points_m[kept], labels[kept]), times_s)
+
+    @cache
+    def after() -> bool | None:
+        return are_after(cloud_of(-1).times, times_s[-1])
+
+    def read(number: int) -> Scan:
+        cloud, scan_s, where = cloud_of(number), times_s[number], name(number)
+        labels = classes_of(cloud.labels, len(cloud.points_m), classes, where)
+        points_m = transform_points(ego_from_lidar, cloud.points_m).astype(np.float32)
+        box_m = options["own_car_m"]
+        kept = np.ones(len(points_m), bool) if box_m is None else outside(points_m, *box_m)
+        point_times_s = None
+        if options["deskew"] and cloud.times is not None:
+            # near 0 this scan cannot tell whether its times are after its stamp: the last scan of the log can
+            point_times_s = seconds_of(cloud.times[kept], scan_s, where, after() if abs(scan_s) <= OPEN_S else None)
+        return Scan(Points(points_m[kept], labels[kept]), point_times_s)
+
+    return Scans(times_s, read, name, classes.table, ego_from_lidar[:3, 3])
 
 
 def plain_options(options: Mapping[str, Any], classes: PointClasses) -> list[Any]:
