@@ -41,7 +41,7 @@ class Status:
         done: units done.
         total: units in all; 0 where nothing is counted.
         unit: name of the units, in the plural.
-        rate_hz: units per second; 0 before the first.
+        rate_hz: units per second; 0 before the second.
         left_s: seconds left, None where unknown.
         text: further details, such as losses.
         results: folder of the figures, once there are any.
@@ -109,11 +109,9 @@ class Progress:
     def status(self) -> Status:
         """Return the present status, with the work of other processes."""
         self._others = max(self.finished() - self._own, 0)
-        counts = self._made and self.done < self.total
-        left_s = (self.total - self.done) / max(self.rate_hz, 1e-9) if counts else None
-        return Status(
-            "running", self.title, self.done, self.total, self.unit, self.rate_hz, left_s=left_s, text=self._text
-        )
+        rate_hz = self.rate_hz if self._made > 1 else 0.0  # the first unit alone says little
+        left_s = (self.total - self.done) / max(rate_hz, 1e-9) if self._made > 1 and self.done < self.total else None
+        return Status("running", self.title, self.done, self.total, self.unit, rate_hz, left_s=left_s, text=self._text)
 
     def __enter__(self) -> "Progress":
         if self._bar is not None:
