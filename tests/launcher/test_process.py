@@ -200,7 +200,7 @@ def test_ctrl_c_ends_a_multirun_with_a_line(tmp_path, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hydra_plugins.process_launcher.launcher.run_all", interrupted)
-    launcher = ProcessLauncher(n_jobs=2, force=False)
+    launcher = ProcessLauncher(n_jobs=2)
     config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
     launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
     with pytest.raises(SystemExit) as ended:
@@ -215,11 +215,11 @@ def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, mo
         "import sys\nif __name__ == '__main__':\n    print(sys.argv[1:]); sys.exit('broken' in sys.argv[1])"
     )
     monkeypatch.setattr(sys, "argv", [str(script), "--multirun"])
-    launcher = ProcessLauncher(n_jobs=2, force=True)
+    launcher = ProcessLauncher(n_jobs=2)
     config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
     launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
     assert len(launcher.launch([["+ablation=a", "seed=1"], ["+ablation=b", "seed=1"]], 0)) == 2
-    assert "'resume=never'" in (tmp_path / "sweep" / "000-a.log").read_text()
+    assert "'seed=1'" in (tmp_path / "sweep" / "000-a.log").read_text()
     with pytest.raises(SystemExit) as error:
         launcher.launch([["broken=1"], ["x=1"]], 2)
     assert error.value.code == 1
@@ -230,7 +230,7 @@ def test_a_script_that_cannot_be_imported_is_shown_once_for_every_job(tmp_path, 
     script = tmp_path / "script.py"
     script.write_text("import no_such_module")
     monkeypatch.setattr(sys, "argv", [str(script), "--multirun"])
-    launcher = ProcessLauncher(n_jobs=1, force=False)
+    launcher = ProcessLauncher(n_jobs=1)
     config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
     launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
     with pytest.raises(SystemExit):
@@ -246,7 +246,7 @@ def test_labels_and_log_names_distinguish_jobs():
 
 def test_zero_jobs_at_a_time_are_refused():
     with pytest.raises(ValueError, match="n_jobs=0"):
-        ProcessLauncher(n_jobs=0, force=False)
+        ProcessLauncher(n_jobs=0)
 
 
 def test_a_multirun_ends_with_the_scores_of_its_jobs(tmp_path, capsys):

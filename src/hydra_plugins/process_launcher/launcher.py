@@ -36,13 +36,12 @@ class ProcessLauncher(Launcher):
     Args:
         n_jobs: jobs at a time; while one waits for the result of another, the next one starts, up to `n_jobs` more.
             The cores are divided evenly by `OMP_NUM_THREADS`, unless it is set.
-        force: train finished jobs again, into new folders (`resume=never` for every job).
     """
 
-    def __init__(self, n_jobs: int, force: bool):
+    def __init__(self, n_jobs: int):
         if n_jobs < 1:
             raise ValueError(f"n_jobs={n_jobs}: give 1 or more")
-        self.n_jobs, self.force = n_jobs, force
+        self.n_jobs = n_jobs
         self.folder = Path()
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
@@ -52,7 +51,7 @@ class ProcessLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run all jobs; end this process with exit code 1 if any fails, 130 after Ctrl-C."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        jobs = jobs_of(self.folder, job_overrides, initial_job_idx, ["resume=never"] if self.force else [])
+        jobs = jobs_of(self.folder, job_overrides, initial_job_idx)
         print(f"{len(jobs)} jobs, {self.n_jobs} at a time; logs in {self.folder}", flush=True)
         server = ForkServer(Path(sys.argv[0]).resolve(), self.folder / IMPORTS)
         try:
@@ -68,13 +67,13 @@ class ProcessLauncher(Launcher):
         return [JobReturn(overrides=list(o), status=JobStatus.COMPLETED) for o in job_overrides]
 
 
-def jobs_of(folder: Path, job_overrides: Sequence[Sequence[str]], first: int, more: Sequence[str] = ()) -> list[Job]:
-    """Return the jobs of a multirun, numbered from `first`, with logs in a folder; all get the overrides `more` too."""
+def jobs_of(folder: Path, job_overrides: Sequence[Sequence[str]], first: int) -> list[Job]:
+    """Return the jobs of a multirun, numbered from `first`, with logs in a folder."""
     varied, script = varying(job_overrides), str(Path(sys.argv[0]).resolve())
     jobs = []
     for number, overrides in enumerate(job_overrides, start=first):
         label = label_of([o for o in overrides if o in varied]) or "job"
-        jobs.append(Job(label, [sys.executable, script, *overrides, *more], folder / file_name(label, number)))
+        jobs.append(Job(label, [sys.executable, script, *overrides], folder / file_name(label, number)))
     return jobs
 
 
