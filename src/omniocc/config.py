@@ -182,7 +182,8 @@ def check_root(cfg: DictConfig) -> None:
     try:
         check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
-        problems += error.problems
+        said = {problem.partition(": ")[2] for problem in problems}  # seed=abc: once, not for every stage that takes it
+        problems += [problem for problem in error.problems if problem.partition(": ")[2] not in said]
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
 
