@@ -5,7 +5,7 @@ from pathlib import Path
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.claims import verdicts_of
 from omniocc.report.tables.paper import load_table
-from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_list, protocol_text
+from omniocc.report.tables.protocol import counted_alike, protocol_lines, protocol_list
 from omniocc.report.tables.verdicts import verdicts_parts
 
 RAYS = {"rayiou": "rays from the ego origin", "voxel": "cells"}
@@ -23,7 +23,6 @@ def test_one_line_where_all_rows_agree():
     rows = {"ours": runs(RAYS, RAYS), "mono": runs(RAYS)}
     assert protocol_lines(rows, KEYS) == ["Voxel RayIoU: rays from the ego origin.", "IoU, mIoU: cells."]
     assert protocol_lines(rows, ["test/lidar/rayiou", "test/sketch/recall"]) == []
-    assert protocol_text(rows, KEYS[:1]) == "\nVoxel RayIoU: rays from the ego origin.\n"
 
 
 def test_rows_are_named_where_they_differ():
@@ -89,4 +88,3 @@ def test_claims_about_rows_counted_in_two_ways_are_not_decided():
 
 def test_records_of_before_have_no_line():
     assert protocol_lines({"ours": runs(None, None)}, KEYS) == []
-    assert protocol_text({"ours": runs(None)}, KEYS) == ""

@@ -9,11 +9,6 @@ from omniocc.runs.results import PROTOCOL, says_the_same
 from omniocc.runs.table import SCORES, score_of, titled
 
 
-def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> str:
-    """Return the lines of `protocol_lines` as Markdown that follows a table; empty if there are none."""
-    return "".join(f"\n{line}\n" for line in protocol_lines(rows, keys))
-
-
 def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> list[str]:
     """Return a line for each kind of score among the keys of a table, and for each way in which it was counted.
 
