@@ -1,5 +1,6 @@
 """How the time of an adaptation is shared, and what it shows."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -83,8 +84,11 @@ def test_the_plan_fills_the_time(rig, words, costs, capsys):
     spent_s = {name: costs[name] * steps for name, steps in plan.steps.items()}
     assert spent_s["depth"] / spent_s["occupancy"] == pytest.approx(0.3 / 0.55, rel=0.05)
     assert spent_s["sketch"] / spent_s["occupancy"] == pytest.approx(0.15 / 0.55, rel=0.05)
+    _, *lines = (shown := capsys.readouterr().out).splitlines()
+    minutes = [re.search(r": ([0-9]+):([0-9]+) min", line).groups() for line in lines]
+    assert sum(60 * int(whole) + int(seconds) for whole, seconds in minutes) == pytest.approx(1800, abs=len(lines))
     assert {steps % 10 for steps in plan.steps.values()} == {0}
-    assert f"{frames * 1e5 / 1e6:.0f} MB" in capsys.readouterr().out
+    assert f"{frames * 1e5 / 1e6:.0f} MB" in shown
 
 
 def test_more_time_gives_more_streets_up_to_a_limit(rig, words, costs):

@@ -211,6 +211,8 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
     print(f"          {frames} frames for training and {others} of other streets: {made}")
     for name, count in steps.items():
         print(f"          {name} {count} steps of {steps_s[name]:.2f} s: {clock(count * steps_s[name])}")
+    rest_s = seconds - (frames + others) * frame_s - sum(count * steps_s[name] for name, count in steps.items())
+    print(f"          starts, this timing, validation and tests: {clock(rest_s)}")
     return Plan(scenes, steps)
 
 
