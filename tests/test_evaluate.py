@@ -84,9 +84,9 @@ def test_a_checkpoint_is_scored_at_the_precision_of_its_training(monkeypatch, tm
     assert trained.config.data.source.splits == {"train": 1, "val": 0}
     assert trained.config.data.source.themes == ["downtown"]
     trained.config.trainer.precision = "bf16-mixed"
-    data = SimpleNamespace(num_classes=12, spec=SimpleNamespace(classes=None))
+    data = SimpleNamespace(num_classes=12, spec=SimpleNamespace(classes=None), source=SimpleNamespace(folder="here"))
     data.restrict_to = data.set_ray_origins = lambda _: None
-    scored = SimpleNamespace(task=None, data=data, precision=trained.precision)
+    scored = SimpleNamespace(task=None, data=data, precision=trained.precision, path=trained.path)
     with pytest.raises(StopError):
         score_checkpoint(scored, tmp_path / "results", Evaluation([], [], None, None))
     assert asked["precision"] == "bf16-mixed"

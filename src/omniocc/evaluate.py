@@ -138,6 +138,7 @@ def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> Non
     data.set_ray_origins(options.origins)
     if data.num_classes == OCCUPANCY_CLASSES.num_classes:
         print(f"classes   {ONE_CLASS}", flush=True)
+    print(f"tests     {trained.path} on the test scenes of {data.source.folder}", flush=True)
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.spec.classes)
     trainer = Trainer(

@@ -246,7 +246,7 @@ def test_a_wrong_unit_and_a_name_without_a_split_are_said(recorder, tmp_path, ca
     recorder(name="town").record(tmp_path)
     said = capsys.readouterr().err
     assert "'town' has to be named in data.source.splits" in said
-    assert "one each 0.5 s" in said
+    assert "0.5 s apart" in said
 
 
 def test_images_of_another_size_and_some_cameras(recorder, original, tmp_path):

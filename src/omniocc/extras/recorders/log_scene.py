@@ -188,7 +188,7 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
             f"{place}: the frames are {step_s:.3g} s apart, which is implausible for a car; is the unit of the times "
             "right (time_unit, poses_time_unit)?"
         )
-    return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, one each {step_s:.3g} s"]
+    return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, {step_s:.3g} s apart"]
 
 
 def turn_lines(log: Log, plan: Plan) -> list[str]:
