@@ -1,6 +1,9 @@
 """Figures of later tests of a run."""
 
 import json
+import re
+import subprocess
+from functools import partial
 
 import pytest
 
@@ -70,3 +73,24 @@ def test_facts_of_other_types_are_refused(fact, value, tmp_path):
     (tmp_path / "metrics.json").write_text(json.dumps({"metrics": {"test/rayiou": 0.5}, "seed": 1, fact: value}))
     with pytest.raises(UserError, match=rf"metrics\.json is damaged \(.*{fact}"):
         load_results(tmp_path)
+
+
+def test_a_part_that_is_not_committed_yet_counts_as_a_change(tmp_path, monkeypatch):
+    package, conf = tmp_path / "src" / "omniocc", tmp_path / "conf"
+    for folder in (package, conf):
+        folder.mkdir(parents=True)
+        (folder / "known").touch()
+    run = partial(subprocess.run, cwd=tmp_path, check=True, capture_output=True)
+    run(["git", "init", "--quiet"])
+    run(["git", "add", "."])
+    run(["git", "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "--quiet", "-m", "first"])
+    monkeypatch.setattr("omniocc.runs.folder.PACKAGE", package)
+    monkeypatch.setattr("omniocc.runs.folder.CONF", conf)
+    clean = git_commit()
+    assert re.fullmatch("[0-9a-f]+", clean)
+    (tmp_path / "notes").touch()
+    assert git_commit() == clean
+    (package / "gate.py").touch()
+    assert git_commit() == f"{clean}+"
+    (package / "known").write_text("changed")
+    assert git_commit() == f"{clean}+"

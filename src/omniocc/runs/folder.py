@@ -229,20 +229,19 @@ def _assigned(environment: Mapping[str, str]) -> list[str]:
 
 
 def git_commit() -> str:
-    """Return the commit of the source tree, with `+` when it has changes; `unknown` of an installed package."""
+    """Return the commit of the source tree, with `+` with changed or new files; `unknown` of an installed package."""
     if CONF.is_relative_to(PACKAGE):  # a repository around it is another one
         return NO_COMMIT
     try:
-        show = subprocess.run(
-            ["git", "describe", "--always", f"--dirty={CHANGED}"],
-            cwd=PACKAGE,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        commit = _git("describe", "--always", f"--dirty={CHANGED}")
+        new = _git("ls-files", "--others", "--exclude-standard", "--", str(PACKAGE), str(CONF))
     except (OSError, subprocess.CalledProcessError):
         return NO_COMMIT
-    return show.stdout.strip()
+    return commit + CHANGED if new and not commit.endswith(CHANGED) else commit
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def made_by_other_code(folder: Path) -> str:
