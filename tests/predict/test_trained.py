@@ -36,7 +36,7 @@ def test_a_model_of_random_rigs_says_so():
     assert drawn.road_z_m is None
     width, height = drawn.image_size
     assert width * height == pytest.approx(64 * 36, rel=0.15)
-    assert drawn.compare(Rig.load("surround_view")) == "for rigs drawn at random"
+    assert drawn.compare(Rig.load("surround_view")) == "the weights are for any rig"
     assert own.compare(Rig.load("fisheye6")) == "as in training"
 
 
@@ -75,4 +75,4 @@ def test_the_cameras_of_the_training_are_known_also_where_only_one_rig_states_th
     assert own.compare(replace(Rig.load("fisheye6"), road_z_m=-2.2)) == "as in training"
     assert own.compare(Rig.load("surround_view")) == "not those of the training (fisheye6): expect worse results"
     for name in ("random", "any"):
-        assert replace(own, rig_name=name).compare(Rig.load("surround_view")) == "for rigs drawn at random"
+        assert replace(own, rig_name=name).compare(Rig.load("surround_view")) == "the weights are for any rig"

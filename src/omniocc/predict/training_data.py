@@ -69,7 +69,7 @@ class TrainingData:
     def compare(self, rig: Rig) -> str:
         """Return in words whether the model was trained with this rig."""
         if self.rig_name in DRAWN_RIGS:
-            return "for rigs drawn at random"
+            return "the weights are for any rig"
         return (
             "as in training" if self.has(rig) else f"not those of the training ({self.rig_name}): expect worse results"
         )
