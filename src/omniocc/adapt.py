@@ -202,16 +202,17 @@ def planned(cfg: DictConfig, source: SceneSource, seconds: float) -> Plan:
         fitting = int((FRAMES_SHARE * seconds / frame_s - others) / each)
         scenes = min(max(fitting, SCENES[0]), SCENES[1])
         frames = scenes * each
-    left_s -= (frames + others) * frame_s
+    frames_s = (frames + others) * frame_s
+    left_s -= frames_s
     whole = sum(SHARES[name] for name in steps_s)
     steps = {name: int(SHARES[name] / whole * left_s / each_s) // STEP * STEP for name, each_s in steps_s.items()}
     if min(steps.values()) < STEP:
         raise UserError(f"minutes={seconds / 60:g}: no time is left for training on this machine; give more")
-    made = f"{clock((frames + others) * frame_s)}, {(frames + others) * frame_bytes / 1e6:.0f} MB in {source.folder}"
+    made = f"{clock(frames_s)}, {(frames + others) * frame_bytes / 1e6:.0f} MB in {source.folder}"
     print(f"          {frames} frames for training and {others} of other streets: {made}")
     for name, count in steps.items():
         print(f"          {name} {count} steps of {steps_s[name]:.2f} s: {clock(count * steps_s[name])}")
-    rest_s = seconds - (frames + others) * frame_s - sum(count * steps_s[name] for name, count in steps.items())
+    rest_s = seconds - frames_s - sum(count * steps_s[name] for name, count in steps.items())
     print(f"          starts, this timing, validation and tests: {clock(rest_s)}")
     return Plan(scenes, steps)
 

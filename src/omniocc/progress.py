@@ -101,7 +101,12 @@ class Progress:
 
     @property
     def rate_hz(self) -> float:
-        """Return the units done per second in the last minute, without the first, which compile and fill caches."""
+        """Return the units done per second in the last minute, without the first, which compile and fill caches.
+
+        It is 0 before the second unit: the first one alone says little.
+        """
+        if self._made < 2:
+            return 0.0
         begin_s, begun = self._marks[0]
         return (self._made + self._others - begun) / max(time.monotonic() - begin_s, 1e-9)
 
@@ -109,8 +114,8 @@ class Progress:
     def status(self) -> Status:
         """Return the present status, with the work of other processes."""
         self._others = max(self.finished() - self._own, 0)
-        rate_hz = self.rate_hz if self._made > 1 else 0.0  # the first unit alone says little
-        left_s = (self.total - self.done) / max(rate_hz, 1e-9) if self._made > 1 and self.done < self.total else None
+        rate_hz = self.rate_hz
+        left_s = (self.total - self.done) / rate_hz if rate_hz and self.done < self.total else None
         return Status("running", self.title, self.done, self.total, self.unit, rate_hz, left_s=left_s, text=self._text)
 
     def __enter__(self) -> "Progress":

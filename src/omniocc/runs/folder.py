@@ -229,15 +229,15 @@ def _assigned(environment: Mapping[str, str]) -> list[str]:
 
 
 def git_commit() -> str:
-    """Return the commit of the source tree, with `+` with changed or new files; `unknown` of an installed package."""
+    """Return the commit of the source tree, with `+` if files changed or are new; `unknown` of an installed package."""
     if CONF.is_relative_to(PACKAGE):  # a repository around it is another one
         return NO_COMMIT
     try:
         commit = _git("describe", "--always", f"--dirty={CHANGED}")
-        new = _git("ls-files", "--others", "--exclude-standard", "--", str(PACKAGE), str(CONF))
+        new = _git("ls-files", "--others", "--exclude-standard", "--", str(PACKAGE.parent), str(CONF))
     except (OSError, subprocess.CalledProcessError):
         return NO_COMMIT
-    return commit + CHANGED if new and not commit.endswith(CHANGED) else commit
+    return commit.removesuffix(CHANGED) + CHANGED if new else commit
 
 
 def _git(*words: str) -> str:
