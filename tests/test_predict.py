@@ -192,7 +192,8 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
             script.main()
         assert caught.value.code == code
         told = capsys.readouterr()
-        assert "usage: python src/predict.py {depth,occupancy,submission}" in told.out
+        assert told.out.startswith("usage: python src/predict.py <command> ")
+        assert "  occupancy   Predict the voxels of every frame\n" in told.out
         unknown = "there is no command 'occupanzy'; did you mean occupancy?\n"
         assert told.err == (unknown if "occupanzy" in arguments else "")
 

@@ -73,7 +73,7 @@ def test_render_check_and_page(run, tmp_path):
     ]
     assert re.search(r"2 of 2 scenes to render, 4 frames, about 2 MB, [\d.]+ GB free\n", out)
     assert re.search(r"2 scenes, 4 frames, \d+ MB \(0\.\d\d a frame\)", out)
-    assert re.search(r"all 5 scenes, 10 frames: \d MB, at most \d:\d\d min with 1 processes", out)
+    assert re.search(r"the whole preset, 5 scenes, 10 frames: \d MB, at most \d:\d\d min with 1 processes", out)
     code, out = run("first_scene=2", "scenes=2", "check=true")
     assert code == 0
     assert re.search(r"Road +\d\d\.\d\d +57\.03", out)

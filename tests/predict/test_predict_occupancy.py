@@ -169,8 +169,8 @@ def test_files_of_a_frame(images, scene, checkpoint, tmp_path, evaluated, monkey
     # the code of the docs that places voxels, verbatim
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "predict.md").read_text(), re.DOTALL)
     code = next(block for block in blocks if "xyz_m" in block)
-    (tmp_path / "occupancy" / "0000").mkdir(parents=True)
-    shutil.copy(folder / "voxels.npz", tmp_path / "occupancy" / "0000")
+    (tmp_path / "occupancy").mkdir()
+    shutil.copy(folder / "voxels.npz", tmp_path / "occupancy")
     monkeypatch.chdir(tmp_path)
     found: dict = {}
     exec(code, found)

@@ -52,7 +52,7 @@ COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}
 
 def main() -> None:
     """Run the command that the first argument names."""
-    COMMANDS[chosen_command([*COMMANDS], "predict.py")]()
+    COMMANDS[chosen_command(COMMANDS, "predict.py")]()
 
 
 if __name__ == "__main__":

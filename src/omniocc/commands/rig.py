@@ -35,7 +35,7 @@ COMMANDS = {"new": new, "show": show}
 
 def main() -> None:
     """Run the command that the first argument names; `show` takes the rig without its key."""
-    command = chosen_command([*COMMANDS], "rig.py")
+    command = chosen_command(COMMANDS, "rig.py")
     if command == "show" and len(sys.argv) > 1 and "=" not in sys.argv[1] and not sys.argv[1].startswith("-"):
         sys.argv[1] = f"rig={quoted(sys.argv[1])}"
     COMMANDS[command]()

@@ -21,7 +21,7 @@ from omniocc.predict.input.own import OwnImages, own_images
 from omniocc.predict.input.sequence import ImageSequence
 from omniocc.predict.options import choose_device
 from omniocc.predict.output.bag import Bags, bag_path, ranges_of, run_into_bag
-from omniocc.predict.output.range_files import RANGES, point_cloud, write_depth
+from omniocc.predict.output.range_files import OVERVIEW, RANGES, point_cloud, write_depth
 from omniocc.predict.predictor import predict_depth
 from omniocc.predict.road import NO_ROAD, check_within, on_road, road_line
 from omniocc.predict.stopwatch import Stopwatch
@@ -62,7 +62,7 @@ def predict_panoramas(
         device = choose_device(cfg.device)
         if line := others_line(Path(cfg.output), sequence.frame_names):
             print(line, flush=True)
-        progress = Progress(f"predicting {cfg.output}", len(sequence.frame_names))
+        progress = Progress(f"predicting into {cfg.output}", len(sequence.frame_names))
 
         def run() -> None:
             with progress:
@@ -144,4 +144,4 @@ def predict_frame(
     if rig.road_z_m is not None:
         road = road_line(range_m, panorama, rig.road_z_m)
     facts = [size, f"{answered:.0%} with an answer", f"{points} points", *filter(None, [road])]
-    return f"{folder}: {', '.join(facts)}; {watch}"
+    return f"{folder / OVERVIEW}: {', '.join(facts)}; {watch}"

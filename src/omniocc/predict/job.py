@@ -16,8 +16,8 @@ from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, raise_poses
 from omniocc.predict.options import Options
+from omniocc.predict.output.range_files import OVERVIEW
 from omniocc.predict.output.voxel_files import (
-    OVERVIEW,
     VOXELS,
     raise_grid,
     range_arrays,
@@ -73,7 +73,7 @@ class Job:
         total = sum(map(len, left))
         if skipped := sum(len(sequence.wanted) for sequence in sequences) - total:
             print(f"{skipped} frames are finished in {self.output} and skipped; force=true predicts them again")
-        with Progress(f"predicting {self.output}", total) as progress:
+        with Progress(f"predicting into {self.output}", total) as progress:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):
                     self._score_finished(sequence, frame)
@@ -109,7 +109,8 @@ class Job:
         scored = "" if truth is None else f"{self._score(prediction.labels, truth)}; "
         self.seconds.append(watch.seconds)
         occupied = int(((prediction.labels != FREE) & (prediction.labels != UNKNOWN)).sum())
-        return f"{self._folder(sequence, frame)}: {occupied} voxels; {scored}{watch}"
+        written = self._folder(sequence, frame) / (OVERVIEW if self.options.overview else VOXELS)
+        return f"{written}: {occupied} voxels; {scored}{watch}"
 
     def _write(
         self,

@@ -11,7 +11,7 @@ import sys
 import unicodedata
 import warnings
 from argparse import Action, ArgumentParser
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import SequenceMatcher, get_close_matches
 from errno import EDQUOT, ENOSPC, EROFS
 from io import TextIOWrapper
@@ -205,16 +205,19 @@ def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
-def chosen_command(commands: Sequence[str], script: str) -> str:
+def chosen_command(commands: Mapping[str, Callable[..., None]], script: str) -> str:
     """Take the command that the first argument names from the command line, and return it.
 
-    Without one of `commands` print how `script` is used and exit, with code 2 unless that was asked for.
+    Without one of `commands` print how `script` is used, with the first line of each docstring, and exit: with code 2
+    unless that was asked for.
     """
     word = sys.argv[1] if len(sys.argv) > 1 else ""
     if word in commands:
         return sys.argv.pop(1)
-    print_unknown_command(word, commands)
-    print(f"usage: python src/{script} {{{','.join(commands)}}} key=value ...    (<command> --help lists its keys)")
+    print_unknown_command(word, [*commands])
+    print(f"usage: python src/{script} <command> key=value ...    (<command> --help lists its keys)\n")
+    for name, main in commands.items():
+        print(f"  {name:{max(map(len, commands))}}  {(main.__doc__ or '').splitlines()[0].rstrip('.')}")
     sys.exit(0 if word in HELP else 2)
 
 

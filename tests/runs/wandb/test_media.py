@@ -31,6 +31,7 @@ def test_voxels_are_shown_in_the_cameras_from_above_and_as_points():
         (item.content[400:] == rgb).all(2).any() for item, rgb in zip(media["bev"], [CAR, CAR, MISSED], strict=True)
     ]
     assert below == [True] * 3  # legends
+    assert len({item.content.shape for item in media["bev"]}) == 1  # W&B warns of others
     assert media["points_truth"][0].content.shape == (16, 6)
     assert media["points_prediction"][0].content.shape == (0, 6)
 

@@ -18,7 +18,7 @@ from omniocc.draw import save_png
 from omniocc.io import atomic_write
 from omniocc.model.depth import DepthMap
 
-RANGES, POINTS = "range.npz", "points.ply"
+RANGES, POINTS, OVERVIEW = "range.npz", "points.ply", "overview.png"
 
 VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
@@ -152,5 +152,5 @@ def write_depth(
         bottom_deg=panorama.bottom_deg,
     )
     atomic_write(folder / RANGES, content.getvalue())
-    save_png(folder / "overview.png", overview)
+    save_png(folder / OVERVIEW, overview)
     return write_ply(folder / POINTS, cloud)

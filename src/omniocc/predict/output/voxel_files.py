@@ -21,7 +21,7 @@ from omniocc.predict.predictor import PredictedFrame
 from rayiou.labels import ids_beyond
 from rayiou.surface import drop_flat_faces, extract_surface
 
-VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
+VOXELS, MESH = "voxels.npz", "voxels.ply"
 
 FRAME = "ego: x forward, y left, z up, metres, origin as in the rig file"
 

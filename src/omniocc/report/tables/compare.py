@@ -18,7 +18,7 @@ from omniocc.report.tables.paper import figure_of
 from omniocc.report.tables.protocol import counted_alike
 
 Runs = Sequence[FinishedRun]
-NEAREST = 20
+NEAREST = 5
 """Most rows that a message names."""
 ALIKE: Mapping[str, Callable[[FinishedRun], str]] = {
     "preset": lambda run: run.setting[0],

@@ -49,8 +49,8 @@ REMARKS = (
     "surfaces.",
     "Numbers: the gap in voxel RayIoU, and in brackets the mean scores of both methods. Methods that use the same "
     "depth network are compared within seeds, so a gap can differ from these scores in the last digit.",
-    "Equal budget: methods without training of depth and sketch train for as many steps as OmniDepth-Occ "
-    "in all, and BEVDet learns from true ranges too.",
+    "Equal budget: methods without stages of depth and sketch train for as many steps as all stages of OmniDepth-Occ "
+    "together. BEVDet also learns from true ranges.",
 )
 WHY = "Why claims do not hold here, or stay undecided:"
 AGAIN = f"`{COMMAND}` writes this again from the records of the runs, without training."
@@ -144,7 +144,7 @@ def _first_cells(sweep: Sweep, claims: Sequence[Planned], here: Sequence[Verdict
         printed = _sizes(f"{table.printed_gap(*pair):+.3f}", [row.paper[table.order_by] for row in pair])
         scores = [figure and figure.mean for figure in figures]
         measured = NOT_TESTED if verdict.voxels is None else _sizes(verdict.gap, scores)
-        budget = SAME if equal.voxels is None and _as_many_steps(*runs) else equal.cell
+        budget = SAME if _as_many_steps(*runs) else equal.cell
         yield [NUMERALS[table.number], title_of(*claim), printed, measured, verdict.symbol, budget]
 
 

@@ -1,5 +1,6 @@
 """Media of a test frame for W&B besides its sheet: images that can be enlarged, voxels that can be rotated."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.draw.bev import bev, error_bev, error_legend
-from omniocc.draw.canvas import class_legend, legend
+from omniocc.draw.canvas import blank, class_legend, legend
 from omniocc.draw.paint import paint_voxels
 from omniocc.draw.ranges import ERROR_LEGEND, RANGE_LEGEND, error_bar, error_colors, range_bar, range_colors
 from omniocc.draw.sheet import azimuths, below, panorama_row
@@ -56,7 +57,7 @@ def voxel_media(
     }
     return {
         "cameras": [MediaItem(image, name) for image, name in zip(painted, rig.names, strict=True)],
-        "bev": [MediaItem(image, name) for name, image in views.items()],
+        "bev": of_one_height(views),
         "points_truth": [MediaItem(class_cloud(truth, geometry, classes), "truth")],
         "points_prediction": [MediaItem(class_cloud(prediction, geometry, classes), "prediction")],
     }
@@ -77,7 +78,16 @@ def range_media(
         "predicted minus true": (error_colors(predicted, true), difference),
     }
     shown = {name: below([panorama_row(colors, name, width), *scale], width) for name, (colors, scale) in rows.items()}
-    return {"erp": [MediaItem(image, name) for name, image in shown.items()]}
+    return {"erp": of_one_height(shown)}
+
+
+def of_one_height(images: Mapping[str, UInt8[np.ndarray, "H W 3"]]) -> list[MediaItem]:
+    """Return named images as items, with paper below the lower ones: W&B shows images of one size alone as a list."""
+    height = max(map(len, images.values()))
+    shown = {name: blank(image.shape[1], height) for name, image in images.items()}
+    for name, image in images.items():
+        shown[name][: len(image)] = image
+    return [MediaItem(image, name) for name, image in shown.items()]
 
 
 def wandb_object(item: MediaItem) -> Any:

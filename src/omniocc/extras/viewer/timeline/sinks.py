@@ -156,8 +156,8 @@ def check_display() -> None:
     """Check that a window can be opened; raise UserError naming what else there is."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UserError(
-            "there is no display to open a viewer on: write a file with save=view.rrd and open it elsewhere by "
-            "`rerun view.rrd`, or show it in a viewer that runs elsewhere: connect=<host>:9876"
+            "there is no display to open a viewer on: write a page for any browser with page=true, or a file for Rerun "
+            "with save=view.rrd, or show it in a viewer that runs elsewhere: connect=<host>:9876"
         )
 
 
