@@ -74,7 +74,8 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
     print(f"{amount(world, scenes)} ({taken / 1e6 / frames:.2f} a frame)")
     whole = len(world.plans) * whole_length
     if frames < whole:
-        print(f"the whole preset, {len(world.plans)} scenes, {whole} frames: {size(round(taken / frames * whole))}", end="")
+        cost = size(round(taken / frames * whole))
+        print(f"the whole preset, {len(world.plans)} scenes, {whole} frames: {cost}", end="")
         frame_s = elapsed_s / (len(missing) * world.frames_per_scene or 1)
         # a place is built once for all frames of a scene, so long scenes are cheaper
         print(f", at most {clock(frame_s * whole)} with {max(1, world.workers)} processes" if missing else "")
