@@ -35,3 +35,14 @@ def test_recorded_scenes_and_the_model_of_the_paper_need_no_world_and_no_extras(
 
 def test_the_data_of_the_platform_need_no_world():
     assert run(f"import sys, omniocc.data; print({LEFT_OUT})") == "[]"
+
+
+def test_prediction_imports_neither_lightning_nor_metrics():
+    code = (
+        "import sys, omniocc\n"
+        "import omniocc.predict.depth, omniocc.predict.occupancy\n"
+        "trained = omniocc.load('any-rig')\n"
+        "trained.occupancy, trained.facts\n"
+        "print([name for name in ('lightning', 'torchmetrics', 'transformers') if name in sys.modules])"
+    )
+    assert run(code) == "[]"

@@ -5,9 +5,9 @@ import torch
 
 from omniocc.config import build
 from omniocc.parts import Parts
+from omniocc.scores import Scores
 from omniocc.train import Muon
 from omniocc.train.build import build_task
-from omniocc.train.scores import Scores
 
 MOST_STEPS = 600
 CHECK_EVERY = 25
@@ -40,7 +40,7 @@ def test_one_frame_is_learned_by_heart(model, data_root, smoke):
     data = build(cfg.data)
     data.prepare_data()
     data.setup()
-    batch = next(iter(data.val_dataloader()))
+    batch = next(iter(data.in_order("val")))
     task = build_task(Parts(cfg), data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     optimizer = Muon(1e-2, 0, 0.0, 1.0).configure(task.model, MOST_STEPS)["optimizer"]

@@ -20,7 +20,7 @@ from omniocc.progress import Progress
 from omniocc.report.card import BANDS
 from omniocc.runs.script import lines_not_tracebacks, quiet_libraries
 from omniocc.runs.table import in_columns, number
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 ABOVE = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
 MOST_LIKELY = "most likely class"

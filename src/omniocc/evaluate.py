@@ -20,6 +20,7 @@ from omniocc.runs.script import read_overrides, train_config
 from omniocc.runs.weights import SHIPPED, find_checkpoint
 from omniocc.train import StepProgress
 from omniocc.train.audit import audit
+from omniocc.train.data_module import DataModule
 from omniocc.train.images import OccupancyImages
 from omniocc.train.scene_counts import save_by_scene
 from omniocc.train.submission import score_files
@@ -149,7 +150,7 @@ def score_checkpoint(trained: Trained, folder: Path, options: Evaluation) -> Non
         enable_model_summary=False,
         devices=1,
     )
-    metrics = trainer.test(task, datamodule=data, verbose=False)[0]
+    metrics = trainer.test(task, datamodule=DataModule(data), verbose=False)[0]
     facts = {"checkpoint": str(trained.path), "commit": git_commit(), "data": data.source.fingerprint}
     facts |= {OVERRIDES: list(options.overrides), PROTOCOL: task.protocol}
     save_by_scene(folder, task.scores, data.source, task.counted)

@@ -18,7 +18,8 @@ from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder, resample
 from omniocc.parts import Parts
 from omniocc.runs.plan import validation_times
-from omniocc.train.scores import Scores, within_reach
+from omniocc.scores import Scores, within_reach
+from omniocc.train.data_module import DataModule
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
 HIGH = Cylinder(shape=(4, 6, 1), radius_m=(0.0, 25.6), height_m=(-1.0, 5.4))
@@ -93,7 +94,7 @@ def run(root, length, checkpoint=None, callbacks=(), num_workers=0):
         num_sanity_val_steps=0,
         **length,
     )
-    trainer.fit(module, datamodule=make(root, num_workers), ckpt_path=checkpoint)
+    trainer.fit(module, datamodule=DataModule(make(root, num_workers)), ckpt_path=checkpoint)
     return module.seen
 
 
@@ -122,11 +123,11 @@ def test_accumulated_batches_of_a_step_are_of_one_epoch(root, tmp_path):
     assert list(saver.seen.values()) == [3, 6, 9, 12, 15]  # the last validation is at the end of training
     for path, seen in saver.seen.items():
         assert run(root, length, checkpoint=path) == whole[seen:], path.name
-    data = make(root)
-    data.setup()
-    data.trainer = Trainer(accelerator="cpu", logger=False, accumulate_grad_batches=5, enable_checkpointing=False)
+    module = DataModule(make(root))
+    module.setup("fit")
+    module.trainer = Trainer(accelerator="cpu", logger=False, accumulate_grad_batches=5, enable_checkpointing=False)
     with pytest.raises(UserError, match="8 training samples per process are less than the 10 of a step"):
-        data.train_dataloader()
+        module.train_dataloader()
 
 
 def test_a_resumed_run_with_loader_processes(root, tmp_path):
@@ -142,7 +143,7 @@ def test_loaders(root):
     data.setup()
     train = list(data.train_dataloader())
     assert [len(batch.frame_ids) for batch in train] == [3, 3]
-    test = list(data.test_dataloader())
+    test = list(data.in_order("test"))
     assert [batch.frame_ids for batch in test] == [
         ("test-000-suburb/000000", "test-000-suburb/000001", "test-000-suburb/000002"),
         ("test-000-suburb/000003",),
@@ -154,8 +155,8 @@ def test_loaders(root):
 def test_moving_a_batch_leaves_rigs_alone(root):
     data = make(root)
     data.setup()
-    batch = next(iter(data.val_dataloader()))
-    moved = data.transfer_batch_to_device(batch, torch.device("meta"), 0)
+    batch = next(iter(data.in_order("val")))
+    moved = DataModule(data).transfer_batch_to_device(batch, torch.device("meta"), 0)
     assert moved.images.device.type == moved.world_from_ego.device.type == "meta"
     assert moved.rigs is batch.rigs
     assert moved.frame_ids == batch.frame_ids
@@ -362,4 +363,4 @@ def test_only_the_scenes_of_one_split_are_made_and_opened_where_the_others_are_n
     data.prepare_data()
     assert {meta.parent.name[:5] for meta in data.source.folder.glob("*/meta.json")} == {"test-"}
     data.setup()
-    assert len(list(data.test_dataloader())) == 1
+    assert len(list(data.in_order("test"))) == 1

@@ -73,7 +73,7 @@ def test_the_module_casts_from_the_chosen_origins_of_its_grid(world):
     assert data.dataset("train")[1].ray_origins is None
     data.set_ray_origins("trajectory")
     data.setup()
-    (batch,) = data.test_dataloader()
+    (batch,) = data.in_order("test")
     assert batch.ray_times.tolist() == [[0, 1, 2, 0], [-1, 0, 1, 2], [-2, -1, 0, 1], [-2, -1, 0, 0]]
     finite = batch.ray_origins[batch.ray_origins.isfinite().all(-1)]
     assert len(finite) == 14

@@ -26,7 +26,7 @@ from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.input.sequence import find_scenes
 from omniocc.predict.occupancy import announcement, options_of, other_heights, predict_occupancy
 from omniocc.runs.checkpoint import CONFIG, STAGE
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 ROOT = Path(__file__).parents[2]
 FRAMES = [f"{k:06d}" for k in range(5)]

@@ -11,7 +11,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 
 from omniocc.errors import UserError
 from omniocc.predict import load
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 from omniocc.train.stage_task import step_generator
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -13,8 +13,8 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Cuboid
 from omniocc.predict.rig_file import write_rig_file
 from omniocc.runs.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures
+from omniocc.scores import Scores
 from omniocc.train.scene_counts import SceneCounts, save_by_scene
-from omniocc.train.scores import Scores
 
 COARSE = slice(2, None)
 """The thresholds of 1, 2 and 4 m among those that are counted: .25, .5, 1, 2, 4 m."""

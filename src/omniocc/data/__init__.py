@@ -1,19 +1,15 @@
 """Sources of scenes, their storage, and datasets and batches made of them."""
 
-from typing import TYPE_CHECKING, Any
-
 from omniocc.data.augment.appearance import Appearance
 from omniocc.data.augment.augment import Augment
 from omniocc.data.augment.disturbances import Disturbances
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.module import OccupancyData
 from omniocc.data.source import SceneSource, SourceSpec
 from omniocc.data.source.recorded import Recorded
 from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, RangeCache
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
-
-if TYPE_CHECKING:
-    from omniocc.data.module import OccupancyData
 
 __all__ = [
     "Appearance",
@@ -32,11 +28,3 @@ __all__ = [
     "WindowDataset",
     "collate",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name == "OccupancyData":  # render processes start without Lightning, whose import takes seconds
-        from omniocc.data.module import OccupancyData
-
-        return OccupancyData
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

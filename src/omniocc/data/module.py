@@ -1,17 +1,15 @@
-"""Datasets and loaders for training, validation and test."""
+"""Datasets and loaders for training, validation and test; `omniocc.train.data_module` hands them to Lightning."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import torch
 from jaxtyping import Int64
-from lightning.pytorch import LightningDataModule
-from torch import Tensor, device
+from torch import Tensor
 from torch.utils.data import DataLoader, DistributedSampler
 
-from omniocc.batch import Batch, to_device
+from omniocc.batch import Batch
 from omniocc.bounds import Count, CountOrNone, Number, Size
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.labels.counts import kept_counts
@@ -121,12 +119,10 @@ class RankSampler(DistributedSampler):
         return len(self._samples)
 
 
-class OccupancyData(LightningDataModule):
+class OccupancyData:
     """Batches of windows of recorded frames with voxels of one geometry.
 
-    The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch
-    or validation uses exactly the batches that were left. (For checkpoints written in `on_train_epoch_end` this holds
-    with `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and skips one order.)
+    The order of training is a function of (seed, epoch).
 
     Args:
         source: of the scenes and their labels.
@@ -162,7 +158,6 @@ class OccupancyData(LightningDataModule):
         range_edges_m: Sequence[float] | None = None,
         ray_azimuths: Number | None = None,
     ):
-        super().__init__()
         if ray_azimuths is not None and ray_azimuths < 1:
             raise ValueError(f"ray_azimuths must be at least 1, got {ray_azimuths}")
         if min(batch_size, samples_per_scene) < 1 or num_workers < 0:
@@ -183,7 +178,6 @@ class OccupancyData(LightningDataModule):
         self.origins: Origins = "own"
         self.splits: Sequence[Split] = SPLITS
         self._datasets: dict[Split, WindowDataset] = {}
-        self._resume = {"epoch": 0, "batches": 0}
 
     def prepare_data(self) -> None:
         """Make the scenes and labels that are missing.
@@ -263,7 +257,7 @@ class OccupancyData(LightningDataModule):
                 f"({', '.join(names)}): set data.num_classes={len(names)}"
             )
 
-    def setup(self, stage: str | None = None) -> None:
+    def setup(self) -> None:
         """Open the splits; `prepare_data` has been called, here or in another process."""
         spec = self.spec
         own_rays, grid = spec.lidar_directions is None, spec.scored_grid(self.geometry)
@@ -316,62 +310,40 @@ class OccupancyData(LightningDataModule):
         path = self.source.folder / f"ray-counts-{key[:12]}.zst"
         return kept_counts(path, shape, lambda: count_rays(scenes, self.geometry, window, self.num_classes))
 
-    def train_dataloader(self) -> DataLoader[Batch]:
+    def train_dataloader(
+        self, rank: int = 0, world_size: int = 1, accumulated: int = 1, epoch: int = 0, batches: int = 0
+    ) -> DataLoader[Batch]:
         """Return the shuffled loader; the last incomplete step of an epoch is left out.
 
         Every step is of one epoch alone: a checkpoint between two epochs would lose gradients that are accumulated.
+
+        Args:
+            rank: number of this process.
+            world_size: number of processes.
+            accumulated: batches of a step.
+            epoch: that was interrupted.
+            batches: of it that were used before.
 
         Raises:
             UserError: if a process has fewer samples than a step.
         """
         dataset = self.dataset("train")
-        done = self._resume["batches"] * self.batch_size
         sizes = [len(scene) for scene in dataset.scenes]
-        resume = self._resume["epoch"], done
-        of_step = self.batch_size * (1 if self.trainer is None else self.trainer.accumulate_grad_batches)
-        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.samples_per_scene, of_step)
+        resume, of_step = (epoch, batches * self.batch_size), self.batch_size * accumulated
+        sampler = EpochSampler(
+            len(dataset), self.seed, rank, world_size, *resume, sizes, self.samples_per_scene, of_step
+        )
         if not len(sampler):
             raise UserError(
-                f"{len(dataset) // self._rank()[1]} training samples per process are less than the {of_step} of a "
+                f"{len(dataset) // world_size} training samples per process are less than the {of_step} of a "
                 "step: use more scenes, a lower data.batch_size or a lower trainer.accumulate_grad_batches"
             )
         return self._loader(dataset, sampler)
 
-    def val_dataloader(self) -> DataLoader[Batch]:
-        """Return the loader in order, every sample once over all ranks."""
-        return self._in_order("val")
-
-    def test_dataloader(self) -> DataLoader[Batch]:
-        """Return the loader in order, every sample once over all ranks."""
-        return self._in_order("test")
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the epoch and the number of its finished batches, from which a resumed run continues."""
-        if self.trainer is None:
-            return dict(self._resume)
-        loop = self.trainer.fit_loop
-        epoch = loop.epoch_progress.state_dict()["current"]
-        batch = loop.epoch_loop.batch_progress.state_dict()["current"]
-        if epoch["started"] == epoch["processed"]:  # between two epochs
-            return {"epoch": epoch["processed"], "batches": 0}
-        if batch["processed"] >= self.trainer.num_training_batches:  # the epoch does not count as done yet
-            return {"epoch": epoch["processed"] + 1, "batches": 0}
-        return {"epoch": epoch["processed"], "batches": batch["processed"]}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continue where the checkpoint was written."""
-        self._resume = {"epoch": int(state_dict["epoch"]), "batches": int(state_dict["batches"])}
-
-    def transfer_batch_to_device(self, batch: Batch, device: device, dataloader_idx: int) -> Batch:
-        """Return the batch with its tensors on a device; rigs and names stay."""
-        return to_device(batch, device)
-
-    def _in_order(self, split: Split) -> DataLoader[Batch]:
+    def in_order(self, split: Split, rank: int = 0, world_size: int = 1) -> DataLoader[Batch]:
+        """Return the loader of a split in order, every sample once over all ranks."""
         dataset = self.dataset(split)
-        return self._loader(dataset, RankSampler(len(dataset), *self._rank()))
-
-    def _rank(self) -> tuple[int, int]:
-        return (self.trainer.global_rank, self.trainer.world_size) if self.trainer is not None else (0, 1)
+        return self._loader(dataset, RankSampler(len(dataset), rank, world_size))
 
     def _loader(self, dataset: WindowDataset, sampler: EpochSampler | RankSampler) -> DataLoader[Batch]:
         return Loader(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
@@ -12,7 +13,6 @@ from omniocc.batch import Truth
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.draw import save_png
 from omniocc.draw.voxel_sheet import RangePanorama, occupancy_sheet
-from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, raise_poses
 from omniocc.predict.options import Options
@@ -30,7 +30,9 @@ from omniocc.predict.predictor import STEPS, Images, Input, PredictedFrame, Pred
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.progress import Progress, clock
-from omniocc.train.scores import Scores
+
+if TYPE_CHECKING:
+    from omniocc.scores import Scores
 
 ShowFrame = Callable[["Job", FrameSequence, int, Images, PredictedFrame, Truth | None], None]
 """Shows one frame: given the job, its sequence and index, its images, its prediction, and the truth if there is any."""
@@ -54,7 +56,7 @@ class Job:
     history: History
     trained: TrainingData
     options: Options
-    scores: Scores | None
+    scores: "Scores | None"
     show: ShowFrame | None = None
     seconds: list[dict[str, float]] = field(default_factory=list)
 
@@ -152,6 +154,8 @@ class Job:
 
     def _score(self, labels: Tensor, truth: Truth) -> str:
         """Add a frame to the scores and return its own in a few words."""
+        from omniocc.metric import VoxelIoU  # needs torchmetrics, whose import takes a second
+
         assert self.scores is not None
         self.scores.update(labels[None], truth)
         frame_iou = VoxelIoU(self.trained.classes.num_classes, class_names=self.trained.classes.names)

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -34,7 +34,9 @@ from omniocc.predict.trained import Trained, load
 from omniocc.predict.training_data import TrainingData
 from omniocc.runs.results import PROTOCOL, save_results
 from omniocc.runs.table import summary
-from omniocc.train.scores import Scores
+
+if TYPE_CHECKING:
+    from omniocc.scores import Scores
 
 SAME_HEIGHT_M = 0.1
 """Heights of the road that differ by less are taken for the same."""
@@ -118,7 +120,7 @@ def with_classes_of(trained: TrainingData, sequences: Sequence[FrameSequence]) -
     return [replace(one, merged=True) if isinstance(one, RecordedSequence) else one for one in sequences]
 
 
-def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> Scores | None:
+def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> "Scores | None":
     """Return the scores of recorded sequences, with their classes and bands; None for what has no ground truth.
 
     Raises:
@@ -133,7 +135,11 @@ def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[
                 f"trained with {trained.classes.num_classes} ({', '.join(trained.classes.names)}): "
                 "choose scenes with the classes of the model"
             )
-    return Scores(model.geometry, recorded[0].spec) if recorded else None
+    if not recorded:
+        return None
+    from omniocc.scores import Scores  # needs torchmetrics, whose import takes a second
+
+    return Scores(model.geometry, recorded[0].spec)
 
 
 def figures(metrics: Mapping[str, float]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float16, Float32, UInt8
@@ -31,6 +31,7 @@ from omniocc.predict.road import WITHIN, on_road
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.training_data import TrainingData
 from omniocc.runs.checkpoint import (
+    STAGES,
     Checkpoint,
     apply_overrides,
     check_parts,
@@ -39,8 +40,9 @@ from omniocc.runs.checkpoint import (
     part_weights,
 )
 from omniocc.runs.trust import building
-from omniocc.train import OccupancyTask
-from omniocc.train.build import build_task
+
+if TYPE_CHECKING:
+    from omniocc.train import OccupancyTask
 
 PLACE_ARGUMENTS = ("root", "cache")
 """Arguments of a data source that name folders or URLs."""
@@ -126,7 +128,7 @@ class Trained:
     @property
     def model(self) -> nn.Module:
         """Return the occupancy model, or the depth network if an earlier stage was trained."""
-        return self.occupancy if self.stage == OccupancyTask.STAGE else self.depth
+        return self.occupancy if self.stage == STAGES[-1] else self.depth
 
     @cached_property
     def depth(self) -> nn.Module:
@@ -140,7 +142,7 @@ class Trained:
     @cached_property
     def occupancy(self) -> OccupancyModel:
         """Return the occupancy model, sketch and depth included, in evaluation mode."""
-        if self.stage != OccupancyTask.STAGE:
+        if self.stage != STAGES[-1]:
             raise UserError(
                 f"{self.path} is a checkpoint of the {self.stage} stage; this needs one of the occupancy stage, "
                 "such as runs/<name>-<hash>/best.ckpt"
@@ -153,8 +155,10 @@ class Trained:
         return load_weights(model, weights, self.path).eval()
 
     @cached_property
-    def task(self) -> OccupancyTask:
+    def task(self) -> "OccupancyTask":
         """Return the occupancy model with its losses and scores, in evaluation mode."""
+        from omniocc.train.build import build_task  # needs Lightning, whose import takes seconds
+
         model = self.occupancy  # built first, within limits of its own (`building`)
         self._check(*TASK_KEYS)
         with building(self.path, self.checkpoint.weights):
@@ -205,7 +209,7 @@ class Trained:
         Raises:
             UserError: also when the rig cannot be used, the images do not fit it, or the network returns NaN.
         """
-        if self.stage != OccupancyTask.STAGE:
+        if self.stage != STAGES[-1]:
             return self.predict_ranges(images, rig)
         rig = rig if isinstance(rig, Rig) else load_rig(str(rig))
         check_images(frame := list(images), rig)

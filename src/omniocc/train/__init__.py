@@ -5,7 +5,6 @@ from omniocc.train.callbacks import StepProgress, TrainingTime
 from omniocc.train.depth import DepthTask
 from omniocc.train.muon import Muon
 from omniocc.train.occupancy import OccupancyTask
-from omniocc.train.scores import Scores
 from omniocc.train.sketch import SketchTask
 from omniocc.train.stage_task import Recipe
 
@@ -15,7 +14,6 @@ __all__ = [
     "Muon",
     "OccupancyTask",
     "Recipe",
-    "Scores",
     "SketchTask",
     "StepProgress",
     "TrainingTime",

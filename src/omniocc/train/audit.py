@@ -19,8 +19,8 @@ from omniocc.model.occupancy import labels_of
 from omniocc.model.ops.evidence import LOG_ODDS
 from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.progress import Progress
+from omniocc.scores import Scores
 from omniocc.train.occupancy import OccupancyTask
-from omniocc.train.scores import Scores
 from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
 
 THRESHOLDS = (0.08, 0.15, 0.25, 0.35, 0.5)
@@ -43,7 +43,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     needs = Needs(panorama=True)
     data.set_needs(needs, needs)
     data.setup()
-    loader, task = data.val_dataloader(), task.eval()
+    loader, task = data.in_order("val"), task.eval()
     found = Audit(task.model.geometry, data.spec, task.occupied_above)
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:

@@ -17,9 +17,9 @@ from omniocc.loss import TotalLoss
 from omniocc.model import OccupancyModel, Prediction, Stream, labels_of
 from omniocc.model.protocols import Sketched
 from omniocc.runs.scenes import Counted
+from omniocc.scores import Scores
 from omniocc.train.adamw import AdamW, factor_of
 from omniocc.train.scene_counts import SceneCounts
-from omniocc.train.scores import Scores
 from omniocc.train.sketch import rays_of
 from omniocc.train.stage_task import StageTask, log_terms, step_generator
 

@@ -15,7 +15,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.metric import RayTruth
 from omniocc.runs.distributed import all_gather
 from omniocc.runs.scenes import LIDAR, MOVING, RAYS, Counted, save_scenes
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 from rayiou.ray_counts import RayCounts
 
 

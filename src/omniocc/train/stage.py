@@ -39,6 +39,7 @@ from omniocc.runs.results import (
 from omniocc.runs.wandb.loggers import finish
 from omniocc.train.callbacks import LastCheckpoint, StepProgress, StopAtSignal, TrainingTime
 from omniocc.train.checkpoint_plugin import AtomicCheckpointIO
+from omniocc.train.data_module import DataModule
 from omniocc.train.every_frame import FrameOutputs
 from omniocc.train.stage_task import Recipe, StageTask
 
@@ -198,10 +199,10 @@ class Stage(ABC):
         )
         if trainer.is_global_zero:
             announce_stage(title, task, data, place, weights_line)
-        trains = self.learns and recipe.max_steps != 0
+        trains, module = self.learns and recipe.max_steps != 0, DataModule(data)
         if trains:
             try:
-                trainer.fit(task, datamodule=data, ckpt_path=place.checkpoint and str(place.checkpoint))
+                trainer.fit(task, datamodule=module, ckpt_path=place.checkpoint and str(place.checkpoint))
             except FAULTS as error:
                 if place.checkpoint is None or duration.began or isinstance(error, UserError):
                     raise
@@ -211,10 +212,10 @@ class Stage(ABC):
         if trains and self.TESTS_BEST:
             trainer.save_checkpoint(last)
             tested_checkpoint = str(best if (best := place.folder / BEST).exists() else last)
-        metrics = dict(trainer.validate(task, datamodule=data, ckpt_path=tested_checkpoint, verbose=False)[0])
+        metrics = dict(trainer.validate(task, datamodule=module, ckpt_path=tested_checkpoint, verbose=False)[0])
         if trains:
             task.fit_to_validation()
-        metrics |= trainer.test(task, datamodule=data, ckpt_path=tested_checkpoint, verbose=False)[0]
+        metrics |= trainer.test(task, datamodule=module, ckpt_path=tested_checkpoint, verbose=False)[0]
         if tested_checkpoint is None:
             trainer.save_checkpoint(last)
         barrier()

@@ -12,8 +12,8 @@ from omniocc.data.source import SPLITS, NumberedSubmissions, PredictionReader, S
 from omniocc.errors import UserError
 from omniocc.geometry import sample_nearest
 from omniocc.progress import Progress
+from omniocc.scores import Scores
 from omniocc.train.occupancy import OccupancyTask, predictions
-from omniocc.train.scores import Scores
 
 
 def score_files(

@@ -10,7 +10,7 @@ from omniocc.data import SceneSource, WindowDataset, collate
 from omniocc.data.source import SceneFrames
 from omniocc.errors import DataError
 from omniocc.extras.datasets.carlasc import CarlaSC
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 SPLITS = {"train": "Train", "val": "Val", "test": "Test"}
 

@@ -18,6 +18,7 @@ from omniocc.predict.submission import predict_submission
 from omniocc.runs.checkpoint import load_checkpoint
 from omniocc.runs.checkpoint_io import LAST
 from omniocc.train.build import build_task, without_unused_head
+from omniocc.train.data_module import DataModule
 from omniocc.train.stages import DepthStage, SketchStage
 from omniocc.train.submission import frames_of, score_files, write_files
 
@@ -60,9 +61,9 @@ def train(cfg):
         num_sanity_val_steps=0,
         max_steps=2,
     )
-    trainer.fit(task, datamodule=data)
+    trainer.fit(task, datamodule=DataModule(data))
     logged = dict(trainer.logged_metrics)
-    return logged, trainer.test(task, datamodule=data, verbose=False)[0], task, data
+    return logged, trainer.test(task, datamodule=DataModule(data), verbose=False)[0], task, data
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from omniocc.data.source.occ3d_nuscenes import GRID, ORIGIN_M, Occ3DNuScenes, Oc
 from omniocc.errors import DataError
 from omniocc.geometry import Cylinder
 from omniocc.metric import RayIoU
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 from rayiou.voxel_iou import voxel_confusion, voxel_scores
 
 PANORAMA = (64, 32, 45.0, -45.0)

@@ -27,7 +27,7 @@ from omniocc.data.source.completion import voxel_grid
 from omniocc.data.source.semantic_kitti import SemanticKITTI
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 from omniocc.train.submission import score_files
 from rayiou.voxel_iou import voxel_confusion, voxel_scores
 

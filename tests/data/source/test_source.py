@@ -15,6 +15,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.parts import Parts
 from omniocc.train.build import build_task
+from omniocc.train.data_module import DataModule
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
@@ -59,9 +60,9 @@ def train(cfg):
         num_sanity_val_steps=0,
         max_steps=3,
     )
-    trainer.fit(task, datamodule=data)
+    trainer.fit(task, datamodule=DataModule(data))
     logged = dict(trainer.logged_metrics)
-    return logged, trainer.test(task, datamodule=data, verbose=False)[0]
+    return logged, trainer.test(task, datamodule=DataModule(data), verbose=False)[0]
 
 
 @pytest.fixture(params=["virtual", "recorded", "fake"])

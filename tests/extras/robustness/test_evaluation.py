@@ -23,8 +23,8 @@ from omniocc.extras.robustness.parts import parts_of
 from omniocc.parts import Parts
 from omniocc.predict import load
 from omniocc.runs.robustness import UNDISTURBED, drop_of
+from omniocc.scores import Scores
 from omniocc.train.build import build_task
-from omniocc.train.scores import Scores
 
 FRAMES = 2
 CPU = torch.device("cpu")

@@ -40,8 +40,8 @@ from omniocc.runs.table import in_columns
 from omniocc.runs.wandb import Loggers
 from omniocc.runs.wandb.loggers import log_robustness
 from omniocc.runs.weights import digest_of
+from omniocc.scores import Scores
 from omniocc.train.occupancy import OccupancyTask, predictions
-from omniocc.train.scores import Scores
 
 KEYS = ("rayiou", "lidar/rayiou", "voxel/iou", "voxel/miou")
 """Scores that are kept, besides RayIoU within nested ranges."""

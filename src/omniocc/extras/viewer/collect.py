@@ -15,7 +15,7 @@ from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import PredictedFrame, Predictor
 from omniocc.predict.trained import load
 from omniocc.progress import Progress
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 PAPER_GRID = Cylinder()
 

@@ -24,13 +24,13 @@ from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.sequence import true_range_m
 from omniocc.predict.predictor import Input, PredictedFrame, Predictor
 from omniocc.predict.trained import Trained
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 PixelLabels = tuple[np.ndarray, ...] | None
 SAME_PIXELS = 0.25
 """Images whose number of pixels differs by less than this fraction from the training's are not scaled."""
 FIGURES = ("rayiou", "rayiou@1", "rayiou@2", "rayiou@4", "lidar/rayiou", "voxel/iou", "voxel/miou")
-"""Keys of `omniocc.train.scores.Scores` that are shown of a frame, without `voxel/`."""
+"""Keys of `omniocc.scores.Scores` that are shown of a frame, without `voxel/`."""
 
 
 @dataclass(frozen=True, eq=False)

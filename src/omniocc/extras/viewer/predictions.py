@@ -22,7 +22,7 @@ from omniocc.predict.input.own import is_bag
 from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
-from omniocc.train.scores import Scores
+from omniocc.scores import Scores
 
 OWN_INTERVAL_S = 1.0
 """Time between frames of a user's own images, of which none is known, s."""

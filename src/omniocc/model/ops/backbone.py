@@ -5,15 +5,17 @@ import os
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
-from transformers import PretrainedConfig
 
 from omniocc.errors import UserError, first_line
+
+if TYPE_CHECKING:  # its import takes half a second
+    from transformers import PretrainedConfig
 
 log = logging.getLogger(__name__)
 
@@ -111,7 +113,7 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
         return random()
 
 
-def require_equal(found: PretrainedConfig, expected: PretrainedConfig, names: Iterable[str], weights: str) -> None:
+def require_equal(found: "PretrainedConfig", expected: "PretrainedConfig", names: Iterable[str], weights: str) -> None:
     """Compare entries of two configurations; raise ValueError if the weights belong to a network of other sizes."""
     for name in names:
         ours, theirs = getattr(expected, name), getattr(found, name)

@@ -12,7 +12,7 @@ from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.source import Benchmark
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import RayIoU, sparseocc_directions
-from omniocc.train.scores import Scores, within_reach
+from omniocc.scores import Scores, within_reach
 
 GRID = Cylinder((8, 12, 4))
 FIVE = ClassTable(tuple(SemanticClass(k, f"class{k}", (k, k, k)) for k in range(5)))
