@@ -127,6 +127,7 @@ def test_the_card_of_a_whole_chain_has_scores_by_distance_and_class():
     assert "Not good" not in text
 
 
+@pytest.mark.whole_runs
 def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
     recipe = {"stage": "depth", "overrides": ["preset=smoke", "stage=depth", "data.source.workers=0"]}
     config = tool.config_of(recipe)

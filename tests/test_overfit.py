@@ -23,17 +23,9 @@ def ray_iou_of(task, spec, batch) -> float:
 RIVALS = ("flashocc", "fosocc", "oneocc", "adaptiveocc")
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "model",
-    [
-        "default",
-        *(
-            pytest.param(rival, marks=pytest.mark.whole_runs)
-            for rival in ("flashocc", "fosocc", "oneocc", "adaptiveocc")
-        ),
-    ],
-)
+@pytest.mark.parametrize("model", ["default", *RIVALS])
 def test_one_frame_is_learned_by_heart(model, data_root, smoke):
     torch.manual_seed(0)
     cfg = smoke(f"model={model}", f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")

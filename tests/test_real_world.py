@@ -153,6 +153,7 @@ def test_arrays_and_numbers_are_read(tmp_path):
     assert (found["time"], found["name"]) == (0.5, "a")
 
 
+@pytest.mark.whole_runs
 def test_the_command_prints_tables_and_keeps_the_figures(cloth, tmp_path, capsys):
     real_world.main([str(tmp_path), "--checkpoints", "tiny-depth", "--write", str(tmp_path / "figures.json")])
     figures = json.loads((tmp_path / "figures.json").read_text())["surround view"]

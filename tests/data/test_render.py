@@ -62,6 +62,7 @@ def test_other_sources_are_not_rendered(run):
     assert "virtual world" in code
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_render_check_and_page(run, tmp_path):
     code, out = run("first_scene=2", "scenes=2")

@@ -41,6 +41,7 @@ def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
     assert programs == {"model.pt2.json": "model.pt2", "model.onnx.json": "model.onnx"}
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Sparse CSR", "ignore:No complete tensor found")
 def test_a_rig_at_another_height_has_the_voxels_of_predict(tmp_path, capsys):

@@ -248,6 +248,7 @@ def test_the_ego_frame_is_that_of_the_vehicle_unless_stated(drive):
         np.testing.assert_array_equal(sequence.mount.base_from_ego[:3, 3], [1.5, 0, 2])
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_the_command_writes_a_bag_with_the_times_and_frame_of_the_bag(scene, drive, checkpoint, tmp_path):
     given = f"checkpoint={checkpoint}", f"images={drive}", f"rig={drive.parent.parent / 'rig.yaml'}", *QUICK

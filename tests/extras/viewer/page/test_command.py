@@ -13,6 +13,7 @@ def facts_of(page) -> dict:
     return json.loads(page.read_text("utf-8").split('id="facts">', 1)[1].split("</script>", 1)[0])
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_a_run_and_scenes_without_a_model(make_run, dataset, tmp_path):
     run = make_run("ours-9d8e7f6a")
