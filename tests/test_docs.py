@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "omniocc"
 PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
 PAGES += sorted((ROOT / "docs").rglob("*.md"))
-PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in page.parts]
+PAGES = [page for page in PAGES if not {"_build", "runs", "report"} & set(page.parts)]  # are made
 
 EXAMPLES = {
     "src/omniocc/model/refiner/my_refiner.py",
