@@ -37,10 +37,10 @@ def test_the_data_of_the_platform_need_no_world():
     assert run(f"import sys, omniocc.data; print({LEFT_OUT})") == "[]"
 
 
-def test_prediction_imports_neither_lightning_nor_metrics():
+def test_predictions_are_made_and_shown_without_lightning_and_metrics():
     code = (
         "import sys, omniocc\n"
-        "import omniocc.predict.depth, omniocc.predict.occupancy\n"
+        "import omniocc.predict.depth, omniocc.predict.occupancy, omniocc.extras.viewer.collect\n"
         "trained = omniocc.load('any-rig')\n"
         "trained.occupancy, trained.facts\n"
         "print([name for name in ('lightning', 'torchmetrics', 'transformers') if name in sys.modules])"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
 from rayiou.directions import RayOrigins, sparseocc_directions, sparseocc_origins, trajectory_origins
+from rayiou.first_hits import ray_hits
 from rayiou.grid import Grid
 from rayiou.raycast.fans import RayFans, RayScan
 from rayiou.raycast.table import RayTable, ray_table
@@ -17,7 +18,6 @@ from rayiou.resample import center_cell_indices, resample, sample_nearest
 from rayiou.vote import downsample, majority_vote
 
 if TYPE_CHECKING:
-    from rayiou.first_hits import ray_hits
     from rayiou.ray_metric import RayIoU, RayTruth, ray_iou
     from rayiou.voxel_iou import VoxelIoU
 
@@ -25,7 +25,6 @@ LAZY_MODULES = {
     "RayIoU": "ray_metric",
     "RayTruth": "ray_metric",
     "VoxelIoU": "voxel_iou",
-    "ray_hits": "first_hits",
     "ray_iou": "ray_metric",
 }
 """Names that are imported at their first use, with their modules: the import of torchmetrics takes a second."""

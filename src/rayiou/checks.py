@@ -1,10 +1,12 @@
 """Checks of the arguments of metrics."""
 
+import hashlib
 import itertools
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import UInt8
 from torch import Tensor
 
 from rayiou.cuboid import Cuboid
@@ -113,3 +115,8 @@ def check_increasing(name: str, values: tuple[float, ...], at_least: int) -> Non
     rising = all(low < high for low, high in itertools.pairwise(values))
     if len(values) < at_least or not rising or (values and values[0] < 0):
         raise ValueError(f"{name} must be {at_least} or more increasing distances in metres, got {values}")
+
+
+def hash_of(content: bytes) -> UInt8[Tensor, "16"]:
+    """Return a hash of all that decides what is counted."""
+    return torch.tensor(list(hashlib.sha256(content).digest()[:16]), dtype=torch.uint8)

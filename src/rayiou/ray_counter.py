@@ -16,6 +16,7 @@ from rayiou.checks import (
     check_mask,
     check_origins,
     check_same_batch,
+    hash_of,
 )
 from rayiou.class_ids import ClassIds
 from rayiou.cuboid import Cuboid
@@ -26,7 +27,6 @@ from rayiou.ray_counts import TIMES, RayCounts, count_rays, occupied_score, ray_
 from rayiou.raycast.fans import RayScan
 from rayiou.raycast.table import RayTable, ray_table
 from rayiou.raycast.trace import Hits
-from rayiou.setting import hash_of
 
 UNIT_TOLERANCE = 1e-3
 """By how much the length of a ray's direction may differ from 1."""

@@ -1,6 +1,5 @@
 """The base of all metrics here: sums over a dataset that keep their types and join only those of an equal setting."""
 
-import hashlib
 from collections.abc import Callable
 from typing import Any
 
@@ -15,11 +14,6 @@ OTHER_SETTING = (
     "were counted with other arguments (grid, classes, thresholds, bands, rays or options); make both metrics with the "
     "same ones"
 )
-
-
-def hash_of(content: bytes) -> UInt8[Tensor, "16"]:
-    """Return a hash of all that decides what is counted."""
-    return torch.tensor(list(hashlib.sha256(content).digest()[:16]), dtype=torch.uint8)
 
 
 def only_one(hashes: UInt8[Tensor, "N 16"]) -> UInt8[Tensor, "16"]:

@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Bool, Float64, Shaped, UInt8
 from torch import Tensor
 
-from rayiou.checks import Array, as_tensors, check_grid, check_mask, check_same_shape
+from rayiou.checks import Array, as_tensors, check_grid, check_mask, check_same_shape, hash_of
 from rayiou.class_ids import ClassIds
 from rayiou.cuboid import Cuboid
 from rayiou.cylinder import Cylinder
 from rayiou.labels import FREE, NUM_CLASSES, UNKNOWN
 from rayiou.plot import Colors, plot_scores
 from rayiou.protocol import cells_text
-from rayiou.setting import CountMetric, hash_of
+from rayiou.setting import CountMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -111,6 +111,7 @@ def test_a_resumed_run_sees_the_batches_that_were_left(root, tmp_path, length, m
     assert len(set(whole[:4])) == 4
     assert whole[:4] != whole[4:8]
     assert len(whole) == (12 if "max_steps" not in length else 10)
+    assert all("OccupancyData" in torch.load(path, weights_only=True) for path in saver.seen)  # so old ones go on
     for path, seen in saver.seen.items():
         assert run(root, length, checkpoint=path) == whole[seen:], path.name
 

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from rayiou.checks import Array, as_tensors, check_mask, check_real
+from rayiou.checks import Array, as_tensors, check_mask, check_real, hash_of
 from rayiou.plot import new_axes, plot_scores
-from rayiou.setting import CountMetric, hash_of
+from rayiou.setting import CountMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

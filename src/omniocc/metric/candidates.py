@@ -10,10 +10,10 @@ from torch import Tensor
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
 from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
-from rayiou.checks import Array, as_tensors, check_grid, check_labels, check_mask
+from rayiou.checks import Array, as_tensors, check_grid, check_labels, check_mask, hash_of
 from rayiou.cylinder import PAPER_RANGE_EDGES_M
 from rayiou.plot import plot_scores
-from rayiou.setting import CountMetric, hash_of
+from rayiou.setting import CountMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

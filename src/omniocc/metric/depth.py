@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from rayiou.bands import as_edges, band_of, band_suffixes, num_rows
-from rayiou.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
+from rayiou.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape, hash_of
 from rayiou.plot import plot_scores
-from rayiou.setting import CountMetric, hash_of
+from rayiou.setting import CountMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

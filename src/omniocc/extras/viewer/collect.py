@@ -1,21 +1,24 @@
 """Collect what a viewer shows: frames of scenes, with the predictions of models that are computed now."""
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from omniocc.batch import Batch
 from omniocc.extras.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.extras.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures
+from omniocc.extras.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures, scores_of
 from omniocc.extras.viewer.options import ViewOptions, unique_names
 from omniocc.extras.viewer.predictions import open_predictions
 from omniocc.extras.viewer.scenes import ChosenScenes, recorded_frame, recorded_scenes, test_scenes
 from omniocc.geometry import Cylinder, Grid
-from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.sequence import frame_name
 from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import PredictedFrame, Predictor
 from omniocc.predict.trained import load
 from omniocc.progress import Progress
-from omniocc.scores import Scores
+from rayiou import sparseocc_directions
+
+if TYPE_CHECKING:
+    from omniocc.scores import Scores
 
 PAPER_GRID = Cylinder()
 
@@ -75,7 +78,7 @@ def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScene
 
 
 def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequence[Grid]) -> Iterator[ShownFrame]:
-    scores = [Scores(model.grid, scenes.spec) for model in models]
+    scores = [scores_of(model.grid, scenes.spec) for model in models]
     for scene, wanted in scenes.scenes:
         predicted = [model.predict(scene, wanted) for model in models]
         for frame, *answers in zip(wanted, *predicted, strict=True):
@@ -89,7 +92,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
 
 
 def _prediction(
-    model: TrainedModel, answer: tuple[PredictedFrame, PixelLabels], truth: Batch | None, scores: Scores
+    model: TrainedModel, answer: tuple[PredictedFrame, PixelLabels], truth: Batch | None, scores: "Scores"
 ) -> FramePrediction:
     found, pixels = answer
     panorama = None if found.range_m is None else model.predictor.panorama

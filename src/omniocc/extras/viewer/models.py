@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from omniocc.batch import Batch, Truth
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data.dataset import read_images
-from omniocc.data.source import SceneFrames
+from omniocc.data.source import SceneFrames, SourceSpec
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
@@ -24,7 +25,9 @@ from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.sequence import true_range_m
 from omniocc.predict.predictor import Input, PredictedFrame, Predictor
 from omniocc.predict.trained import Trained
-from omniocc.scores import Scores
+
+if TYPE_CHECKING:
+    from omniocc.scores import Scores
 
 PixelLabels = tuple[np.ndarray, ...] | None
 SAME_PIXELS = 0.25
@@ -109,12 +112,19 @@ def check_classes(models: Sequence[TrainedModel], scenes: ChosenScenes) -> None:
             )
 
 
-def scene_scores(grid: Grid, scene: SceneReader) -> Scores:
+def scores_of(grid: Grid, spec: SourceSpec) -> "Scores":
+    """Return empty scores of predictions on a grid."""
+    from omniocc.scores import Scores  # needs torchmetrics, whose import takes a second
+
+    return Scores(grid, spec)
+
+
+def scene_scores(grid: Grid, scene: SceneReader) -> "Scores":
     """Return empty scores of predictions on a grid for the frames of a recorded scene."""
-    return Scores(grid, spec_of(scene))
+    return scores_of(grid, spec_of(scene))
 
 
-def frame_figures(scores: Scores, labels: Tensor, truth: Batch | Truth) -> Mapping[str, float]:
+def frame_figures(scores: "Scores", labels: Tensor, truth: Batch | Truth) -> Mapping[str, float]:
     """Return the scores of one frame alone."""
     scores.reset()
     scores.update(labels[None], truth)

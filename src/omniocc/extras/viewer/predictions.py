@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omniocc.camera import Rig
 from omniocc.data.source import Ignore
@@ -16,13 +16,15 @@ from omniocc.extras.viewer.models import frame_figures, scene_scores
 from omniocc.extras.viewer.options import ViewOptions
 from omniocc.extras.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes
 from omniocc.geometry import Grid
-from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import FrameFiles, find_frames, natural_key, read_frame
 from omniocc.predict.input.own import is_bag
 from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
-from omniocc.scores import Scores
+from rayiou import sparseocc_directions
+
+if TYPE_CHECKING:
+    from omniocc.scores import Scores
 
 OWN_INTERVAL_S = 1.0
 """Time between frames of a user's own images, of which none is known, s."""
@@ -130,7 +132,7 @@ def _recorded(
     voxels: Voxels,
     model: str,
     ignore: Ignore,
-    scores: Callable[[Grid, SceneReader], Scores],
+    scores: Callable[[Grid, SceneReader], "Scores"],
 ) -> ShownFrame:
     """Return a predicted frame of a recorded scene, scored where there is truth; `ignore` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry

@@ -12,7 +12,7 @@ from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.draw.bev import HALLUCINATED, MISSED, WRONG
 from omniocc.draw.voxels import LIGHT
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.metric import ray_hits
+from rayiou import ray_hits
 from rayiou.surface import drop_flat_faces, extract_surface
 
 Rgb = tuple[int, int, int]

@@ -18,10 +18,10 @@ from omniocc.extras.viewer.predictions import OWN_INTERVAL_S
 from omniocc.extras.viewer.scenes import rig_at_sizes, time_of
 from omniocc.extras.viewer.timeline.log import Timeline
 from omniocc.extras.viewer.timeline.sinks import to_viewer
-from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
 from omniocc.predict.job import Job
 from omniocc.predict.predictor import PredictedFrame
+from rayiou import sparseocc_directions
 
 __all__ = ["RangeStream", "VoxelStream", "to_viewer"]
 MODEL = "prediction"
